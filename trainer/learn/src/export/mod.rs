@@ -6,23 +6,48 @@
 
 mod agent;
 pub mod attention;
-mod deployed;
 mod entities;
-mod lookup;
 pub mod onnx;
-mod options;
 mod own_row;
-mod recurrent;
 #[cfg(test)]
 mod skip_tests;
-mod team_value;
 
-pub use agent::{AgentNetwork, agent_onnx};
+use sortie_bundle::OptionsContract;
+use sortie_core::Policy;
+
+pub use agent::{AgentNetwork, GruCell, RecurrentAgent, agent_onnx, recurrent_agent_onnx};
 pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
-pub use deployed::{DeployedAgents, DeployedNetworks};
-pub use entities::{EntityNetwork, Members, entity_network_onnx};
-pub use lookup::LookupTables;
-pub use options::{GOAL, OptionGraphs};
-pub use own_row::{AGENT_NUMBER, DenseLayer, OwnRowNetwork, OwnRowNetworks};
-pub use recurrent::{GruCell, RecurrentAgent, recurrent_agent_onnx};
-pub use team_value::{TeamValueExport, team_value_onnx};
+pub use entities::{EntityNetwork, Members, TeamValueExport, entity_network_onnx, team_value_onnx};
+pub use own_row::{
+    AGENT_NUMBER, DenseLayer, GOAL, LookupTables, OptionGraphs, OwnRowNetwork, OwnRowNetworks,
+};
+
+/// Agents, and what their answers are.
+pub struct DeployedAgents<'a> {
+    /// Their networks.
+    pub networks: DeployedNetworks<'a>,
+    /// What answers golden observations: the method's own pass.
+    pub policy: Box<dyn Policy + 'a>,
+}
+
+/// What agents decide by.
+pub enum DeployedNetworks<'a> {
+    /// All run one attention network over the entities that they see.
+    Attention {
+        /// The network.
+        network: AttentionNetwork<'a>,
+        /// What they remember by, between the layer before the head and the head; no ReLU follows their attention then.
+        memory: Option<GruCell<'a>>,
+    },
+    /// Each runs one of several networks over its own row.
+    OwnRow(OwnRowNetworks),
+    /// Each looks its answers up.
+    Lookup(LookupTables),
+    /// It goes from milestone to milestone.
+    Options {
+        /// By which rules.
+        options: OptionsContract,
+        /// The networks.
+        graphs: OptionGraphs,
+    },
+}

@@ -139,6 +139,21 @@ impl Graph {
     }
 }
 
+/// What every graph says of itself: what it is, and the contract that it is for; then its sizes.
+pub(super) fn metadata<const SIZES: usize>(
+    graph: &str,
+    contract: u64,
+    sizes: [(&'static str, usize); SIZES],
+) -> Vec<(&'static str, String)> {
+    let common = [
+        ("sortie.graph", graph.to_owned()),
+        ("sortie.format", "1".to_owned()),
+        ("sortie.contract", format!("{contract:016x}")),
+    ];
+    let sizes = sizes.map(|(name, size)| (name, size.to_string()));
+    common.into_iter().chain(sizes).collect()
+}
+
 fn value(name: &str, element: Element, shape: &[Dim<'_>], doc: &str) -> Message {
     let dim = |dim: &Dim<'_>| match *dim {
         Dim::Fixed(size) => Message::default().integer(1, size as i64),

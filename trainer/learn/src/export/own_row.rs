@@ -1,7 +1,10 @@
-//! The graphs of agents that decide by their own row, each by one of several networks.
+//! The graphs of agents that decide by their own row: by a network, by options over three of them, or by a table.
+//!
+//! Of tables, one graph holds those of all agents. What an agent sees becomes two whole numbers, a place and what it
+//! holds; its number, and these, are the row.
 
 use super::attention::{ExportError, check};
-use super::onnx::{Attribute, Dim, Element, Graph};
+use super::onnx::{Attribute, Dim, Element, Graph, metadata};
 
 /// The input with the agent's number.
 pub const AGENT_NUMBER: &str = "agent";
@@ -72,31 +75,17 @@ impl OwnRowNetworks {
             (from, inputs) = self.add_number(&mut graph, network, [&from, AGENT_NUMBER]);
         }
         for (index, layer) in layers.iter().enumerate() {
-            let named = |what: &str| format!("layer.{index}.{what}");
-            let outputs = layer.bias.len();
-            check("policy.weight", &layer.weight, layer.inputs * outputs)?;
-            check("policy.bias", &layer.bias, outputs)?;
-            let mut weight = layer.turned();
-            // A network that makes no difference between agents has no weights for their numbers.
-            weight.resize(inputs * outputs, 0.0);
-            graph.floats(&named("weight"), &[inputs, outputs], &weight);
-            graph.floats(&named("bias"), &[outputs], &layer.bias);
-            let products =
-                graph.node(&named("products"), "MatMul", &[&from, &named("weight")], &[]);
-            from = graph.node(&named("sums"), "Add", &[&products, &named("bias")], &[]);
+            let (name, tensors) = (format!("layer.{index}"), ["policy.weight", "policy.bias"]);
+            from = layer.add_to(&mut graph, &name, (&from, inputs), tensors)?;
             if index + 1 < layers.len() {
                 let slope = Attribute::Float("alpha", self.slope);
                 from = graph.node(&format!("hidden.{index}"), "LeakyRelu", &[&from], &[slope]);
             }
-            inputs = outputs;
+            inputs = layer.bias.len();
         }
         graph.node("logits", "Identity", &[&from], &[]);
-        let metadata = [
-            ("sortie.graph", "policy".to_owned()),
-            ("sortie.format", "1".to_owned()),
-            ("sortie.contract", format!("{contract:016x}")),
-        ];
-        Ok(graph.into_model("agent", DOC, &metadata))
+        let doc = "Scores of one agent's actions, by its own row.";
+        Ok(graph.into_model("agent", doc, &metadata("policy", contract, [])))
     }
 
     /// Adds to a row which of the network's agents decides; returns the name and the columns of both.
@@ -120,8 +109,6 @@ impl OwnRowNetworks {
     }
 }
 
-const DOC: &str = "Scores of one agent's actions, by its own row.";
-
 impl OwnRowNetwork {
     /// Actions that it scores.
     pub fn actions(&self) -> usize {
@@ -131,8 +118,256 @@ impl OwnRowNetwork {
 
 impl DenseLayer {
     /// `[inputs, outputs]`
-    pub(super) fn turned(&self) -> Vec<f32> {
+    fn turned(&self) -> Vec<f32> {
         let column = |input| self.weight.iter().skip(input).step_by(self.inputs);
         (0..self.inputs).flat_map(column).copied().collect()
     }
+
+    /// Adds it to a graph, behind a matrix of so many columns; `tensors` is what errors call weight and bias.
+    fn add_to(
+        &self,
+        graph: &mut Graph,
+        name: &str,
+        (from, columns): (&str, usize),
+        tensors: [&'static str; 2],
+    ) -> Result<String, ExportError> {
+        let named = |what: &str| format!("{name}.{what}");
+        let outputs = self.bias.len();
+        check(tensors[0], &self.weight, self.inputs * outputs)?;
+        check(tensors[1], &self.bias, outputs)?;
+        let mut weight = self.turned();
+        // A network that makes no difference between agents has no weights for their numbers.
+        weight.resize(columns * outputs, 0.0);
+        graph.floats(&named("weight"), &[columns, outputs], &weight);
+        graph.floats(&named("bias"), &[outputs], &self.bias);
+        let products = graph.node(&named("products"), "MatMul", &[from, &named("weight")], &[]);
+        Ok(graph.node(&named("sums"), "Add", &[&products, &named("bias")], &[]))
+    }
+}
+
+/// The input with the number of the goal.
+pub const GOAL: &str = "goal";
+
+/// Networks over columns that are 0 or 1, ReLU between their layers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OptionGraphs {
+    /// Hidden layers of the controller.
+    pub controller: [DenseLayer; 2],
+    /// Its head for each goal, an output for each action.
+    pub heads: Vec<DenseLayer>,
+    /// An output for each milestone: what it is worth to go for it.
+    pub meta: [DenseLayer; 3],
+    /// An output for each milestone: how likely it can be reached next, as a logit.
+    pub affordance: [DenseLayer; 3],
+}
+
+impl OptionGraphs {
+    /// Writes the controller, `shown f32 [1, C], goal i64 [1] -> values f32 [1, U]`; the meta-controller,
+    /// `shown -> values f32 [1, K]`; and the affordances, `shown -> likelihoods f32 [1, K]`.
+    ///
+    /// # Errors
+    /// A number is not finite.
+    pub fn to_onnx(&self, contract: u64) -> Result<[Vec<u8>; 3], ExportError> {
+        Ok([self.controller(contract)?, self.meta(contract)?, self.affordance(contract)?])
+    }
+
+    fn controller(&self, contract: u64) -> Result<Vec<u8>, ExportError> {
+        let [first, _] = &self.controller;
+        let mut graph = begin(first);
+        graph.input(GOAL, Element::Int64, &[Dim::Fixed(1)], "The milestone that is gone for.");
+        let hidden = add_hidden(&mut graph, &self.controller)?;
+        let (inputs, actions) = self.heads.first().map_or((0, 0), |h| (h.inputs, h.bias.len()));
+        let weights: Vec<f32> = self.heads.iter().flat_map(DenseLayer::turned).collect();
+        let bias: Vec<f32> = self.heads.iter().flat_map(|head| head.bias.clone()).collect();
+        check("head.weight", &weights, self.heads.len() * inputs * actions)?;
+        check("head.bias", &bias, self.heads.len() * actions)?;
+        graph.floats("heads.weight", &[self.heads.len(), inputs * actions], &weights);
+        graph.floats("heads.bias", &[self.heads.len(), actions], &bias);
+        let own = graph.node("head.row", "Gather", &["heads.weight", GOAL], &[]);
+        graph.integers("head.sizes", &[inputs as i64, actions as i64]);
+        let own = graph.node("head.weight", "Reshape", &[&own, "head.sizes"], &[]);
+        let bias = graph.node("head.bias", "Gather", &["heads.bias", GOAL], &[]);
+        let products = graph.node("head.products", "MatMul", &[&hidden, &own], &[]);
+        graph.node("values", "Add", &[&products, &bias], &[]);
+        let about = "What each action is worth for the goal.";
+        graph.output("values", Element::Float, &[Dim::Fixed(1), Dim::Fixed(actions)], about);
+        Ok(graph.into_model(
+            "controller",
+            "Values of actions for a goal.",
+            &metadata("policy", contract, []),
+        ))
+    }
+
+    fn meta(&self, contract: u64) -> Result<Vec<u8>, ExportError> {
+        let (mut graph, sums, goals) = add_layers(&self.meta)?;
+        graph.node("values", "Identity", &[&sums], &[]);
+        let about = "What it is worth to go for each milestone.";
+        graph.output("values", Element::Float, &[Dim::Fixed(1), Dim::Fixed(goals)], about);
+        Ok(graph.into_model("meta", "Values of milestones.", &metadata("policy", contract, [])))
+    }
+
+    fn affordance(&self, contract: u64) -> Result<Vec<u8>, ExportError> {
+        let (mut graph, sums, goals) = add_layers(&self.affordance)?;
+        graph.node("likelihoods", "Sigmoid", &[&sums], &[]);
+        let about = "How likely each milestone can be reached without another one before.";
+        graph.output("likelihoods", Element::Float, &[Dim::Fixed(1), Dim::Fixed(goals)], about);
+        Ok(graph.into_model(
+            "affordance",
+            "Affordances of milestones.",
+            &metadata("policy", contract, []),
+        ))
+    }
+}
+
+fn begin(first: &DenseLayer) -> Graph {
+    let mut graph = Graph::default();
+    let about = "What is shown of the agent's row, by columns that are 0 or 1.";
+    graph.input("shown", Element::Float, &[Dim::Fixed(1), Dim::Fixed(first.inputs)], about);
+    graph
+}
+
+/// Adds hidden layers over what is shown.
+fn add_hidden(graph: &mut Graph, layers: &[DenseLayer]) -> Result<String, ExportError> {
+    // Changes nothing, and says what compilers of plans ask for: most of the columns are zero, none is below.
+    let mut from = graph.node("lit", "Relu", &["shown"], &[]);
+    for (index, layer) in layers.iter().enumerate() {
+        let sums = add_layer(graph, &format!("layer.{index}"), &from, layer)?;
+        from = graph.node(&format!("hidden.{index}"), "Relu", &[&sums], &[]);
+    }
+    Ok(from)
+}
+
+/// A graph of hidden layers and a head: the head's sums and how many they are.
+fn add_layers(layers: &[DenseLayer; 3]) -> Result<(Graph, String, usize), ExportError> {
+    let [first, _, head] = layers;
+    let mut graph = begin(first);
+    let hidden = add_hidden(&mut graph, &layers[..2])?;
+    let sums = add_layer(&mut graph, "head", &hidden, head)?;
+    Ok((graph, sums, head.bias.len()))
+}
+
+fn add_layer(
+    graph: &mut Graph,
+    name: &str,
+    from: &str,
+    layer: &DenseLayer,
+) -> Result<String, ExportError> {
+    layer.add_to(graph, name, (from, layer.inputs), ["option.weight", "option.bias"])
+}
+
+/// Tables of answers, by agents, by what they hold, by places.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LookupTables {
+    /// `[d]`: the cell is the sum of the observation times these, rounded.
+    pub cell: Vec<f32>,
+    /// `[d]`: the level is the sum of the observation times these.
+    pub level: Vec<f32>,
+    /// What the level has to reach to be one of the next kind; rising.
+    pub levels: Vec<f32>,
+    /// `[d]`: what is held is the sum of the observation times these, rounded.
+    pub held: Vec<f32>,
+    /// `[levels + 1, cells]`: the place.
+    pub places: Vec<u32>,
+    /// By what is held: its number in the table.
+    pub holdings: Vec<u32>,
+    /// `[agents, holdings, places, U]`
+    pub answers: Vec<f32>,
+    /// Agents.
+    pub agents: usize,
+    /// Actions U.
+    pub actions: usize,
+}
+
+impl LookupTables {
+    /// How many places the table has, and how many kinds of what is held.
+    fn sizes(&self) -> [usize; 2] {
+        let count = |numbers: &[u32]| numbers.iter().max().map_or(0, |most| *most as usize + 1);
+        [count(&self.places), count(&self.holdings)]
+    }
+
+    /// Writes them as ONNX: `observation f32 [1, d], agent i64 [1] -> logits f32 [1, U]`.
+    ///
+    /// # Errors
+    /// A number is not finite.
+    pub fn to_onnx(&self, contract: u64) -> Result<Vec<u8>, ExportError> {
+        let [places, holdings] = self.sizes();
+        check("table.answers", &self.answers, self.agents * holdings * places * self.actions)?;
+        let mut graph = Graph::default();
+        let columns = self.cell.len();
+        let shape = [Dim::Fixed(1), Dim::Fixed(columns)];
+        graph.input("observation", Element::Float, &shape, "the agent's own row");
+        graph.input(AGENT_NUMBER, Element::Int64, &[Dim::Fixed(1)], "the agent's number");
+        let shape = [Dim::Fixed(1), Dim::Fixed(self.actions)];
+        graph.output("logits", Element::Float, &shape, "scores of the actions");
+        graph.integers("one", &[1]);
+        graph.floats("half", &[1, 1], &[0.5]);
+
+        let cell = rounded(&mut graph, "cell", &self.cell);
+        let kind = self.add_kind(&mut graph);
+        let place = graph.node("place.number", "Add", &[&cell, &kind], &[]);
+        let place = looked_up(&mut graph, "place", &self.places, 1, &place);
+        let held = rounded(&mut graph, "held", &self.held);
+        let held = looked_up(&mut graph, "holding", &self.holdings, places, &held);
+        let firsts: Vec<u32> = (0..self.agents as u32).collect();
+        let own = floats(&mut graph, "own", &firsts, holdings * places);
+        let own = graph.node("own.first", "Gather", &[&own, AGENT_NUMBER], &[]);
+        let within = graph.node("row.within", "Add", &[&place, &held], &[]);
+        let row = graph.node("row.number", "Add", &[&within, &own], &[]);
+        let row = whole(&mut graph, "row", &row);
+        let shape = [self.answers.len() / self.actions, self.actions];
+        graph.floats("answers", &shape, &self.answers);
+        graph.node("logits", "Gather", &["answers", &row], &[]);
+        let doc = "Scores of one agent's actions, looked up by its own row and its number.";
+        Ok(graph.into_model("agent", doc, &metadata("policy", contract, [])))
+    }
+
+    /// Adds the cells to skip for the kind that the level is of.
+    fn add_kind(&self, graph: &mut Graph) -> String {
+        let cells = self.places.len() / (self.levels.len() + 1);
+        graph.floats("level.weight", &[self.level.len(), 1], &self.level);
+        let level = graph.node("level", "MatMul", &["observation", "level.weight"], &[]);
+        graph.floats("level.least", &[1, self.levels.len()], &self.levels);
+        let reached = graph.node("level.reached", "GreaterOrEqual", &[&level, "level.least"], &[]);
+        let to = [Attribute::Int("to", Element::Float.id())];
+        let reached = graph.node("level.flags", "Cast", &[&reached], &to);
+        let skips = vec![cells as f32; self.levels.len()];
+        graph.floats("level.cells", &[self.levels.len(), 1], &skips);
+        graph.node("level.skipped", "MatMul", &[&reached, "level.cells"], &[])
+    }
+}
+
+/// Adds the sum of the observation times some weights, rounded.
+fn rounded(graph: &mut Graph, name: &str, weights: &[f32]) -> String {
+    let named = |what: &str| format!("{name}.{what}");
+    graph.floats(&named("weight"), &[weights.len(), 1], weights);
+    let sum = graph.node(&named("sum"), "MatMul", &["observation", &named("weight")], &[]);
+    let above = graph.node(&named("above"), "Add", &[&sum, "half"], &[]);
+    graph.node(&named("rounded"), "Floor", &[&above], &[])
+}
+
+/// Adds a list of whole numbers times a factor, a number a row.
+fn floats(graph: &mut Graph, name: &str, numbers: &[u32], factor: usize) -> String {
+    let numbers: Vec<f32> =
+        numbers.iter().map(|number| (*number as usize * factor) as f32).collect();
+    graph.floats(name, &[numbers.len(), 1], &numbers).to_owned()
+}
+
+/// Adds the number that such a list has at a place; at the nearest place where there is none, so that every
+/// observation has an answer.
+fn looked_up(graph: &mut Graph, name: &str, numbers: &[u32], factor: usize, at: &str) -> String {
+    let list = floats(graph, &format!("{name}.list"), numbers, factor);
+    let (least, most) = (format!("{name}.least"), format!("{name}.most"));
+    graph.floats(&least, &[1, 1], &[0.0]);
+    graph.floats(&most, &[1, 1], &[numbers.len().saturating_sub(1) as f32]);
+    let at = graph.node(&format!("{name}.above"), "Max", &[at, &least], &[]);
+    let at = graph.node(&format!("{name}.inside"), "Min", &[&at, &most], &[]);
+    let at = whole(graph, name, &at);
+    graph.node(&format!("{name}.found"), "Gather", &[&list, &at], &[])
+}
+
+/// Adds a number as one that rows are chosen by.
+fn whole(graph: &mut Graph, name: &str, number: &str) -> String {
+    let to = [Attribute::Int("to", Element::Int64.id())];
+    let whole = graph.node(&format!("{name}.whole"), "Cast", &[number], &to);
+    graph.node(&format!("{name}.index"), "Reshape", &[&whole, "one"], &[])
 }

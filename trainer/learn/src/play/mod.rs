@@ -1,24 +1,21 @@
 //! The loop in which teams play: to learn, and to be measured.
 
 mod episodes;
-mod policy;
-mod random;
-mod recent;
+mod teams;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use rand_core::Rng;
-use sortie_envs::{Environment, Random, Split, Step};
-
-pub use episodes::{Onlooker, Start, WORLDS, Watched, evaluate, evaluate_watched, watch};
-pub use policy::PolicyTeam;
-pub use random::RandomTeam;
+use serde::{Deserialize, Serialize};
+use sortie_envs::{Environment, Random, Spec, Split, Step};
 
 use crate::error::LearnError;
 use crate::method::{Method, Now, Scene, Scenes, Transition};
 use crate::run::EpisodeCounts;
 use crate::state::State;
-use recent::Recent;
+
+pub use episodes::{Onlooker, Start, WORLDS, Watched, evaluate, evaluate_watched, watch};
+pub use teams::{PolicyTeam, RandomTeam};
 
 /// Instances that are played to learn from.
 pub struct Play {
@@ -189,12 +186,43 @@ impl Play {
     }
 }
 
+/// Episodes that means are taken of: as many as dissertations and papers take for curves of training.
+const LAST: usize = 100;
+
+/// The environment's metrics of the last episodes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Recent {
+    episodes: VecDeque<Vec<Option<f64>>>,
+}
+
+impl Recent {
+    /// An episode ended.
+    pub(super) fn add(&mut self, metrics: Vec<Option<f64>>) {
+        self.episodes.truncate(LAST - 1);
+        self.episodes.push_front(metrics);
+    }
+
+    /// Means of the metrics that evaluations tell, by their names; none before so many episodes ended.
+    pub(super) fn means(&self, spec: &Spec) -> BTreeMap<String, f64> {
+        let reported = spec.metrics.iter().enumerate().filter(|(_, metric)| metric.is_reported);
+        let is_full = self.episodes.len() == LAST;
+        let mean = |(place, metric): (usize, &sortie_envs::Metric)| {
+            let values = self.episodes.iter().filter_map(|it| it.get(place).copied().flatten());
+            let (count, sum) =
+                values.fold((0, 0.0), |(count, sum), value| (count + 1, sum + value));
+            (count > 0).then(|| (metric.name.to_owned(), sum / f64::from(count)))
+        };
+        reported.filter(|_| is_full).filter_map(mean).collect()
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use sortie_envs::random::generator;
+
     use super::*;
     use crate::method::Act;
     use crate::run::Rates;
-    use sortie_envs::random::generator;
 
     /// Stays, and counts the episodes that it is told of and those that it sees begin.
     #[derive(Default)]
@@ -292,5 +320,26 @@ mod tests {
         );
         assert_eq!(method.told, [0, 1, 2, 0, 1, 2], "they start anew together");
         assert_eq!(play.round(&mut method, Now::default(), &mut counts).unwrap(), 3);
+    }
+
+    const METRICS: &[sortie_envs::Metric] = &[
+        sortie_envs::Metric { name: "hidden", unit: "", about: "", is_reported: false },
+        sortie_envs::Metric { name: "found", unit: "", about: "", is_reported: true },
+    ];
+
+    #[test]
+    fn means_are_those_of_the_last_hundred() {
+        let spec = Spec { metrics: METRICS, ..Spec::default() };
+        let mut recent = Recent::default();
+        for episode in 0..LAST {
+            assert!(recent.means(&spec).is_empty(), "after {episode}");
+            recent.add(vec![Some(5.0), Some(episode as f64)]);
+        }
+        assert_eq!(recent.means(&spec), [("found".to_owned(), 49.5)].into());
+        recent.add(vec![Some(5.0), Some(100.0)]);
+        assert_eq!(recent.means(&spec)["found"], 50.5, "the first does not count any more");
+        // Episodes that have no such number do not count.
+        (0..LAST - 1).for_each(|_| recent.add(vec![None, None]));
+        assert_eq!(recent.means(&spec)["found"], 100.0);
     }
 }

@@ -139,9 +139,7 @@ impl Comparison {
             notes: notes(groups),
         }
     }
-}
 
-impl Comparison {
     /// The levels that tables tell of: shares of solved episodes.
     pub fn levels(&self) -> Vec<&String> {
         let first = self.groups.iter().take(1).filter(|_| self.score == Score::Success);

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::numbers::{count, duration};
-use super::{Comparison, GroupSummary, Reached, Spread, csv};
+use super::{Comparison, GroupSummary, Reached, Spread, to_csv};
 use crate::evaluate::Score;
 
 impl Comparison {
@@ -14,11 +14,15 @@ impl Comparison {
         text += &self.effort_table();
         if !self.teams.is_empty() {
             text += "\n## Success by team\n\n";
-            text += &self.team_table();
+            let cells = self.teams.iter();
+            let cells = cells.map(|s| (s.team.as_str(), s.label.as_str(), share(s.success)));
+            text += &grid("team", cells);
         }
         if !self.causes.is_empty() {
             text += "\n## Why episodes failed\n\nShare of all episodes.\n\n";
-            text += &self.cause_table();
+            let cells = self.causes.iter();
+            let cells = cells.map(|s| (s.cause.as_str(), s.label.as_str(), share(s.share)));
+            text += &grid("cause", cells);
         }
         if !self.notes.is_empty() {
             text += "\n## Notes\n\n";
@@ -89,24 +93,14 @@ impl Comparison {
         table(&header, self.groups.iter().map(row))
     }
 
-    fn team_table(&self) -> String {
-        let cells = self.teams.iter();
-        grid("team", cells.map(|s| (s.team.as_str(), s.label.as_str(), share(s.success))))
-    }
-
-    fn cause_table(&self) -> String {
-        let cells = self.causes.iter();
-        grid("cause", cells.map(|s| (s.cause.as_str(), s.label.as_str(), share(s.share))))
-    }
-
     /// One line per label, a column per figure; units as in [`GroupSummary`].
     pub fn csv(&self) -> serde_json::Result<String> {
-        csv::to_csv(&self.groups)
+        to_csv(&self.groups)
     }
 
     /// One line per team and label.
     pub fn teams_csv(&self) -> serde_json::Result<String> {
-        csv::to_csv(&self.teams)
+        to_csv(&self.teams)
     }
 }
 
@@ -179,9 +173,9 @@ fn escaped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::comparison::tests::evaluated;
-    use super::super::group::tests::{group, run};
     use super::*;
+    use crate::report::comparison::tests::evaluated;
+    use crate::report::group::tests::{group, run};
 
     fn comparison() -> Comparison {
         let alma = vec![evaluated(1, 0.5, &[("ab", 5)]), evaluated(2, 0.75, &[("ab", 7)])];

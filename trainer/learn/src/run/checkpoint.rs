@@ -11,17 +11,17 @@
 //! | `state.postcard` | counters, generators, running episodes, the curve, the replays |
 
 use std::collections::BTreeMap;
+use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use crc::{CRC_64_XZ, Crc, Table};
-use safetensors::tensor::{Dtype, SafeTensors};
+use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorInfo};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sortie_bundle::files::{Durability, sync_folder, write_parts};
 use sortie_nn::layers::products::Products;
 use sortie_nn::tape::Tensor;
 
-use super::contents::{Contents, SavedTensor};
 use crate::error::LearnError;
 
 /// Version of the files of a checkpoint; another version is refused.
@@ -332,6 +332,49 @@ fn remove(folder: &Path) -> Result<(), LearnError> {
             Err(LearnError::file(folder)(error))
         }
         _ => Ok(()),
+    }
+}
+
+/// Name, sizes and numbers of a tensor, as the file has them.
+pub(crate) type SavedTensor = (String, Vec<usize>, Vec<u8>);
+
+/// What is written one behind the other, each with what stands before it.
+#[derive(Debug)]
+pub(super) struct Contents<'a>(Vec<(Vec<u8>, &'a [u8])>);
+
+impl<'a> Contents<'a> {
+    /// Tensors as a file of `safetensors` has them: a header, and their bytes in the order of their names.
+    pub(super) fn of_tensors(tensors: &'a [SavedTensor]) -> Result<Self, Box<dyn Error>> {
+        let mut sorted: Vec<&SavedTensor> = tensors.iter().collect();
+        sorted.sort_by_key(|(name, ..)| name);
+        let mut end = 0;
+        let infos = sorted.iter().map(|(name, sizes, bytes)| {
+            let data_offsets = (end, end + bytes.len());
+            end = data_offsets.1;
+            (name.clone(), TensorInfo { dtype: Dtype::F32, shape: sizes.clone(), data_offsets })
+        });
+        let mut text = serde_json::to_vec(&Metadata::new(None, infos.collect())?)?;
+        text.resize(text.len().next_multiple_of(8), b' ');
+        let length = (text.len() as u64).to_le_bytes();
+        let mut parts = vec![(length.to_vec(), &[][..]), (text, &[])];
+        parts.extend(sorted.into_iter().map(|(.., bytes)| (Vec::new(), bytes.as_slice())));
+        Ok(Self(parts))
+    }
+
+    /// Values as postcard writes a map: how many there are, and behind each name how long its value is.
+    pub(super) fn of_values(values: &'a BTreeMap<String, Vec<u8>>) -> postcard::Result<Self> {
+        let mut parts = vec![(postcard::to_stdvec(&values.len())?, &[][..])];
+        for (name, value) in values {
+            let mut before = postcard::to_stdvec(name)?;
+            before.extend(postcard::to_stdvec(&value.len())?);
+            parts.push((before, value));
+        }
+        Ok(Self(parts))
+    }
+
+    /// All of it in its order.
+    pub(super) fn parts(&self) -> impl Iterator<Item = &[u8]> + Clone {
+        self.0.iter().flat_map(|(before, part)| [before.as_slice(), part])
     }
 }
 

@@ -1,8 +1,10 @@
-//! What a run counts.
+//! What a run counts, and the time that it takes.
 
+use std::time::Instant;
+
+use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
-use super::clock::Clock;
 use super::curve::CurvePoint;
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
@@ -95,11 +97,11 @@ impl Updates {
         (updates > 0).then(|| (self.loss - before.loss) / updates as f64)
     }
 
-    pub(crate) fn mean_loss(&self) -> f64 {
+    fn mean_loss(&self) -> f64 {
         self.loss / self.updates.max(1) as f64
     }
 
-    pub(crate) fn mean_gradient_norm(&self) -> f64 {
+    fn mean_gradient_norm(&self) -> f64 {
         self.gradient_norm / self.updates.max(1) as f64
     }
 }
@@ -206,4 +208,32 @@ impl Counters {
         self.decisions += episodes.decisions;
         self.curve.push(point);
     }
+}
+
+/// Wall and processor time since the last reading.
+#[derive(Debug)]
+pub(crate) struct Clock {
+    wall: Instant,
+    cpu_s: f64,
+}
+
+impl Clock {
+    /// A clock that starts now.
+    pub(crate) fn start() -> Self {
+        Self { wall: Instant::now(), cpu_s: process_cpu_s() }
+    }
+
+    /// Seconds of the wall and of all processors since the last call, or the start.
+    fn lap(&mut self) -> (f64, f64) {
+        let now = Self::start();
+        let lap = ((now.wall - self.wall).as_secs_f64(), now.cpu_s - self.cpu_s);
+        *self = now;
+        lap
+    }
+}
+
+/// Processor time of all threads of this process.
+fn process_cpu_s() -> f64 {
+    let time = clock_gettime(ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }

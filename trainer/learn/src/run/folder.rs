@@ -6,11 +6,10 @@ use std::path::{Path, PathBuf};
 
 use sortie_bundle::files::{self, Durability, replace_file};
 
-use super::RunDescription;
-use super::{Checkpoints, CurvePoint, RunResult, TrainingPoint, chart, curve};
+use super::{Checkpoints, CurvePoint, RunDescription, RunResult, TrainingPoint, curve};
 use crate::error::LearnError;
 use crate::evaluate::Score;
-use crate::report::{RunEvents, csv};
+use crate::report::{RunEvents, to_csv};
 
 const LOCK: &str = "lock";
 const RESULT: &str = "result.json";
@@ -124,11 +123,11 @@ impl RunFolder {
         let text = curve::to_lines(curve).map_err(|error| LearnError::format(&path, error))?;
         replace(&path, text.as_bytes())?;
         let path = self.folder.join("curve.csv");
-        let text = csv::to_csv(curve).map_err(|error| LearnError::format(&path, error))?;
+        let text = to_csv(curve).map_err(|error| LearnError::format(&path, error))?;
         replace(&path, text.as_bytes())?;
         self.events.add(curve)?;
         let path = self.folder.join("curve.svg");
-        let svg = chart::learning_curve(title, score, curve);
+        let svg = curve::learning_curve(title, score, curve);
         let svg = svg.map_err(|error| LearnError::format(&path, error))?;
         replace(&path, svg.as_bytes())
     }

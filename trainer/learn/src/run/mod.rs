@@ -11,43 +11,28 @@
 //! | `result.json` | of a finished run: greedy success on fresh episodes, see [`RunResult`] |
 //! | `checkpoints/` | the newest checkpoints, see [`checkpoint`] |
 
-pub mod chart;
 pub mod checkpoint;
-mod clock;
-mod config;
-mod contents;
 mod counters;
 mod curve;
-mod description;
-mod difference;
 mod folder;
-mod learning;
-mod meter;
-mod products;
 mod progress;
-mod result;
 mod setup;
 
 use std::path::Path;
 
-pub use checkpoint::{Checkpoint, Checkpoints};
-pub(crate) use clock::Clock;
-pub use config::RunConfig;
-pub(crate) use counters::Counters;
-pub use counters::{EpisodeCounts, Level, Rates, Reports, UpdateReport};
-pub use curve::CurvePoint;
-pub use description::RunDescription;
-pub use difference::{Difference, keys_in};
-pub use folder::RunFolder;
-pub(crate) use learning::{Labels, Learning, learn};
-pub use meter::TrainingPoint;
-pub use products::replace_products;
-pub use progress::{Observer, Outcome, Progress};
-pub use result::RunResult;
-pub use setup::{EnvironmentChoice, Setup};
-pub(crate) use setup::{rename_older, renamed};
+use sortie_nn::layers::products::Products;
 
 use crate::error::LearnError;
+
+pub use checkpoint::{Checkpoint, Checkpoints};
+pub(crate) use counters::{Clock, Counters};
+pub use counters::{EpisodeCounts, Level, Rates, Reports, UpdateReport};
+pub use curve::{CurvePoint, RunResult};
+pub use folder::RunFolder;
+pub(crate) use progress::Meter;
+pub use progress::{Observer, Outcome, Progress, TrainingPoint};
+pub use setup::{Difference, EnvironmentChoice, RunConfig, RunDescription, Setup, keys_in};
+pub(crate) use setup::{rename_older, renamed};
 
 /// The evaluations of the run in a folder.
 pub fn read_curve(folder: &Path) -> Result<Vec<CurvePoint>, LearnError> {
@@ -82,4 +67,19 @@ pub fn prolong(folder: &Path, steps: u64) -> Result<(), LearnError> {
     }
     description.config.check()?;
     if steps > before { files.rewrite_description(&description) } else { Ok(()) }
+}
+
+/// Has the run in a folder go on with the widest products of this processor where it lacks those that the run
+/// learns with; says which it takes instead.
+pub fn replace_products(folder: &Path) -> Result<Option<String>, LearnError> {
+    let files = RunFolder::claim(folder)?;
+    let mut description = files.read_description()?;
+    let run = &mut description.config.run;
+    if run.settled_products().is_ok() {
+        return Ok(None);
+    }
+    run.products = Products::widest().to_string();
+    let products = run.products.clone();
+    files.rewrite_description(&description)?;
+    Ok(Some(products))
 }

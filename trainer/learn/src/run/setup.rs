@@ -1,4 +1,4 @@
-//! How a run of any method is set up: one readable file.
+//! How a run of any method is set up: one readable file, `train.toml`, and what two of them have in common.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -6,9 +6,9 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use sortie_envs::Environment;
 use sortie_envs::registry::Setting;
+use sortie_nn::layers::products::Products;
 use toml::{Table, Value};
 
-use super::RunConfig;
 use crate::configuration::{self, RUN as RUN_SECTION, WHERE};
 use crate::error::LearnError;
 
@@ -166,5 +166,196 @@ pub(crate) fn renamed(assignment: &str) -> String {
     match assignment.trim_start().strip_prefix(&before) {
         Some(rest) => now + rest,
         None => assignment.to_owned(),
+    }
+}
+
+/// How long to learn, and when to measure and save.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RunConfig {
+    /// Folder of a run whose averaged weights this one begins with; empty for a run from scratch.
+    pub from: String,
+    /// Instructions of matrix products: `widest`, or the name of one of
+    /// [`Products`](sortie_nn::layers::products::Products).
+    pub products: String,
+    /// Environment steps to learn for.
+    pub steps: u64,
+    /// Environment steps from one evaluation to the next.
+    pub evaluate_every: u64,
+    /// Greedy episodes of an evaluation.
+    pub evaluate_episodes: usize,
+    /// Greedy episodes of the evaluation at the end of the run, fresh ones that were never used before.
+    pub final_episodes: usize,
+    /// Minutes from one checkpoint to the next; one is always written at the end.
+    pub checkpoint_minutes: f64,
+}
+
+impl Default for RunConfig {
+    fn default() -> Self {
+        Self {
+            from: String::new(),
+            products: "widest".to_owned(),
+            steps: 600_000,
+            evaluate_every: 50_000,
+            evaluate_episodes: 500,
+            final_episodes: 2_000,
+            checkpoint_minutes: 5.0,
+        }
+    }
+}
+
+/// What `run.products` says where the processor decides.
+const WIDEST: &str = "widest";
+
+impl RunConfig {
+    /// Writes in the place of `widest` what that is on this processor, and refuses what it does not have.
+    pub fn settle_products(&mut self) -> Result<(), LearnError> {
+        if self.products == WIDEST {
+            self.products = Products::widest().to_string();
+        }
+        self.settled_products().map(drop)
+    }
+
+    /// The products of a run, if this processor has them.
+    pub fn settled_products(&self) -> Result<Products, LearnError> {
+        let here = Products::widest();
+        match self.products.parse() {
+            _ if self.products == WIDEST => Ok(here),
+            Ok(products) if Products::are_available(products) => Ok(products),
+            _ => {
+                Err(LearnError::Products { asked: self.products.clone(), widest: here.to_string() })
+            }
+        }
+    }
+}
+
+/// How a run learns. The same description gives the same weights, whatever the number of threads.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunDescription {
+    /// Version of Sortie that began the run.
+    pub version: String,
+    /// Seed of all random choices.
+    pub seed: u64,
+    /// Threads that compute gradients.
+    pub threads: usize,
+    /// Method, environment and the complete configuration.
+    pub config: Setup,
+}
+
+impl RunDescription {
+    /// A run of this version of Sortie.
+    pub fn new(config: Setup, seed: u64, threads: usize) -> Self {
+        Self { version: env!("CARGO_PKG_VERSION").to_owned(), seed, threads, config }
+    }
+
+    /// The file's text: four lines about the run, then the configuration.
+    pub fn to_toml(&self) -> Result<String, LearnError> {
+        let Self { version, seed, threads, config } = self;
+        let (method, config) = (&config.method, config.to_toml()?);
+        Ok(format!(
+            "method = \"{method}\"\nversion = \"{version}\"\nseed = {seed}\nthreads = {threads}\n\n{config}"
+        ))
+    }
+
+    /// Reads the file's text.
+    pub fn from_toml(text: &str) -> Result<Self, LearnError> {
+        let bad = |what: &str| LearnError::Config(what.to_owned());
+        let mut table = configuration::parsed(text)?;
+        let mut take = |name: &str| table.remove(name).ok_or_else(|| bad(&format!("no `{name}`")));
+        let (method, version) = (take("method")?, take("version")?);
+        let (seed, threads) = (take("seed")?, take("threads")?);
+        settle_older(&mut table);
+        let text = |value: toml::Value| value.as_str().map(str::to_owned);
+        let number = |value: toml::Value| value.as_integer().and_then(|n| u64::try_from(n).ok());
+        let method = text(method).ok_or_else(|| bad("`method` is not text"))?;
+        Ok(Self {
+            version: text(version).ok_or_else(|| bad("`version` is not text"))?,
+            seed: number(seed).ok_or_else(|| bad("`seed` is not a number"))?,
+            threads: number(threads).ok_or_else(|| bad("`threads` is not a number"))? as usize,
+            config: Setup::from_table(&method, table)?,
+        })
+    }
+}
+
+/// Runs that do not say how they compute products began when there was one way only.
+fn settle_older(table: &mut Table) {
+    let run = table.entry("run").or_insert_with(|| Table::new().into());
+    if let Some(run) = run.as_table_mut() {
+        run.entry("products").or_insert_with(|| Products::usual().to_string().into());
+    }
+}
+
+/// A key that two configurations have other values for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// The key, as in `run.steps`.
+    pub key: String,
+    /// Its value in the one.
+    pub ours: String,
+    /// Its value in the other.
+    pub theirs: String,
+}
+
+impl Difference {
+    /// The keys whose values are others in `theirs`: `run.steps` first, on which others may depend, then in the order of
+    /// the alphabet.
+    pub fn between(ours: &Setup, theirs: &Setup) -> Result<Vec<Self>, LearnError> {
+        let (ours, theirs) = (values(&ours.to_toml()?)?, values(&theirs.to_toml()?)?);
+        let mut keys: Vec<&String> = ours.keys().chain(theirs.keys()).collect();
+        keys.sort_by_key(|key| (*key != "run.steps", *key));
+        keys.dedup();
+        let value = |values: &BTreeMap<String, Value>, key: &str| match values.get(key) {
+            Some(value) => value.to_string(),
+            None => "not there".to_owned(),
+        };
+        let differ = |key: &&String| ours.get(*key) != theirs.get(*key);
+        let difference = |key: &String| Self {
+            key: key.clone(),
+            ours: value(&ours, key),
+            theirs: value(&theirs, key),
+        };
+        Ok(keys.into_iter().filter(differ).map(difference).collect())
+    }
+}
+
+/// The keys that a file has a value for.
+pub fn keys_in(text: &str) -> Result<Vec<String>, LearnError> {
+    Ok(values(text)?.into_keys().collect())
+}
+
+/// All values of a file by their keys.
+fn values(text: &str) -> Result<BTreeMap<String, Value>, LearnError> {
+    let mut values = BTreeMap::new();
+    flatten("", configuration::parsed(text)?, &mut values);
+    Ok(values)
+}
+
+fn flatten(name: &str, table: Table, to: &mut BTreeMap<String, Value>) {
+    for (key, value) in table {
+        let key = if name.is_empty() { key } else { format!("{name}.{key}") };
+        match value {
+            Value::Table(inner) => flatten(&key, inner, to),
+            value => drop(to.insert(key, value)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_widest_gets_its_name_and_what_is_not_there_is_refused() {
+        let mut run = RunConfig::default();
+        run.settle_products().unwrap();
+        assert_eq!(run.products, Products::widest().to_string());
+        for products in Products::ALL {
+            run.products = products.to_string();
+            assert_eq!(run.settle_products().is_ok(), products.are_available());
+        }
+        run.products = "avx1024".to_owned();
+        let error = run.settle_products().unwrap_err().to_string();
+        let widest = format!("run.products={}", Products::widest());
+        assert!(error.contains("avx1024") && error.contains(&widest), "{error}");
     }
 }

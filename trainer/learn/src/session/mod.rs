@@ -7,10 +7,10 @@
 
 mod entry;
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use sortie_envs::Environment;
 
@@ -25,8 +25,8 @@ use crate::play::{self, Play};
 use crate::random::{Purpose, generator};
 use crate::run::checkpoint::{OpenFor, Written};
 use crate::run::{
-    Counters, CurvePoint, Labels, Learning, Observer, Outcome, Progress, Rates, Reports, RunConfig,
-    RunDescription, RunFolder, learn,
+    Clock, Counters, CurvePoint, Meter, Observer, Outcome, Progress, Rates, Reports, RunConfig,
+    RunDescription, RunFolder, RunResult,
 };
 use crate::state::State;
 
@@ -123,18 +123,6 @@ impl Session {
         self.method.state(state)
     }
 
-    /// Learns until all steps are taken or `stop` is set, and writes a checkpoint at the end.
-    ///
-    /// # Errors
-    /// A file cannot be written, or learning has left the numbers.
-    pub fn run(
-        &mut self,
-        observer: &mut dyn Observer,
-        stop: &AtomicBool,
-    ) -> Result<Outcome, LearnError> {
-        learn(self, observer, stop)
-    }
-
     /// How the run learns.
     pub fn description(&self) -> &RunDescription {
         &self.description
@@ -164,10 +152,6 @@ impl Session {
     pub fn refused(&self) -> &[String] {
         &self.refused
     }
-
-    fn now(&self) -> Now {
-        Now { env_steps: self.counters.env_steps, of: self.description.config.run.steps }
-    }
 }
 
 /// Gives a method the newest weights of a run, to be used; why newer checkpoints were passed over.
@@ -180,35 +164,64 @@ pub fn load_weights(folder: &Path, method: &mut dyn Method) -> Result<Vec<String
     Ok(found.refused)
 }
 
-impl Learning for Session {
-    fn schedule(&self) -> RunConfig {
-        self.description.config.run.clone()
+/// The episodes that every run reports on in the end: the same for all runs, seen by none.
+const REPORT_SEED: u64 = 2_000_000;
+
+impl Session {
+    /// Learns until all steps are taken or `stop` is set, and writes a checkpoint at the end; besides one before the
+    /// first step, at every evaluation, and every some minutes.
+    ///
+    /// # Errors
+    /// A file cannot be written, or learning has left the numbers.
+    pub fn run(
+        &mut self,
+        observer: &mut dyn Observer,
+        stop: &AtomicBool,
+    ) -> Result<Outcome, LearnError> {
+        let schedule = self.description.config.run.clone();
+        schedule.settled_products()?.use_here();
+        let mut saves = Saves::new(&schedule, self.counters.env_steps);
+        let mut meter = Meter::new(schedule.evaluate_every, &self.counters);
+        self.folder.goes_on_from(self.counters.env_steps);
+        if self.counters.env_steps == 0 {
+            self.save(&mut saves, observer)?;
+        }
+        while self.counters.env_steps < schedule.steps {
+            if stop.load(Ordering::Relaxed) {
+                self.save(&mut saves, observer)?;
+                return Ok(Outcome::Stopped);
+            }
+            self.step(observer)?;
+            if let Some(point) = meter.measure(&self.counters, self.rates()) {
+                observer.trained(&point);
+                self.folder.write_training(&point)?;
+            }
+            if self.counters.env_steps >= self.counters.next_evaluation {
+                self.counters.next_evaluation += schedule.evaluate_every;
+                self.evaluate(&mut saves, observer)?;
+                meter.restart(&self.counters);
+            } else if saves.last.elapsed() >= saves.pause {
+                self.save(&mut saves, observer)?;
+            }
+        }
+        let env_steps = self.counters.env_steps;
+        if self.counters.curve.last().is_none_or(|point| point.env_steps < env_steps) {
+            self.evaluate(&mut saves, observer)?;
+        }
+        self.save(&mut saves, observer)?;
+        self.report(observer)?;
+        Ok(Outcome::Finished)
     }
 
-    fn labels(&self) -> Labels {
-        let RunDescription { seed, config, .. } = &self.description;
-        let (method, environment) = (&config.method, config.environment.to_string());
-        Labels {
-            title: format!("{method} on {environment}, seed {seed}"),
-            environment,
-            allocation: self.method.allocation().to_owned(),
-            seed: *seed,
-            score: self.score(),
-        }
+    fn now(&self) -> Now {
+        Now { env_steps: self.counters.env_steps, of: self.description.config.run.steps }
     }
 
     fn rates(&self) -> Rates {
         self.method.rates(self.now())
     }
 
-    fn folder(&mut self) -> &mut RunFolder {
-        &mut self.folder
-    }
-
-    fn counters(&mut self) -> &mut Counters {
-        &mut self.counters
-    }
-
+    /// Takes some environment steps and makes the updates that are due.
     fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
         let now = self.now();
         let window = &mut self.counters.window;
@@ -222,20 +235,87 @@ impl Learning for Session {
         Ok(())
     }
 
-    fn recent(&self) -> BTreeMap<String, f64> {
-        self.play.recent()
-    }
-
+    /// Measures what has been learned on so many greedy episodes.
     fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
         play::evaluate(&*self.environment, &mut *self.method.team(), episodes, seed)
     }
 
-    fn save(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+    /// Measures what has been learned, adds a point to the curve, and writes a checkpoint.
+    fn evaluate(
+        &mut self,
+        saves: &mut Saves,
+        observer: &mut dyn Observer,
+    ) -> Result<(), LearnError> {
+        self.counters.add_time(&mut saves.clock);
+        let RunDescription { seed, config, .. } = &self.description;
+        let title = format!("{} on {}, seed {seed}", config.method, config.environment);
+        // Counted from the top, so that ordinary seeds remain fresh for later evaluations.
+        let result = self.measure(config.run.evaluate_episodes, u64::MAX - seed)?;
+        let allocation = self.method.allocation().to_owned();
+        let mut point = self.counters.point(&result, allocation, self.rates());
+        // Means of the environment's metrics over the last episodes that it learned from.
+        let recent = self.play.recent().into_iter();
+        point.metrics.extend(recent.map(|(name, mean)| (format!("training_{name}"), mean)));
+        observer.evaluated(&point);
+        self.counters.add_point(point);
+        let score = self.score();
+        let told = self.folder.write_curve(&title, score, &self.counters.curve);
+        // Where the disk takes no picture it may still take what was learned.
+        self.save(saves, observer)?;
+        told
+    }
+
+    /// Measures the finished run on episodes that no run uses before its end.
+    fn report(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        let Setup { environment, run, .. } = &self.description.config;
+        if run.final_episodes == 0 {
+            return Ok(());
+        }
+        let result = RunResult {
+            env: environment.to_string(),
+            allocation: self.method.allocation().to_owned(),
+            seed: REPORT_SEED,
+            evaluation: self.measure(run.final_episodes, REPORT_SEED)?,
+        };
+        self.folder.write_result(&result)?;
+        observer.finished(&result);
+        Ok(())
+    }
+
+    /// Writes a checkpoint, unless the newest is of this very step.
+    fn save(&mut self, saves: &mut Saves, observer: &mut dyn Observer) -> Result<(), LearnError> {
+        let env_steps = self.counters.env_steps;
+        if saves.env_steps == Some(env_steps) {
+            return Ok(());
+        }
+        self.counters.add_time(&mut saves.clock);
         let mut written = Written::default();
         self.visit(&mut State::write(&mut written))?;
-        let checkpoints = self.folder.checkpoints();
-        observer.saved(&checkpoints.write(self.counters.env_steps, &written)?);
+        observer.saved(&self.folder.checkpoints().write(env_steps, &written)?);
+        (saves.env_steps, saves.last) = (Some(env_steps), Instant::now());
         Ok(())
+    }
+}
+
+/// When checkpoints are written.
+struct Saves {
+    pause: Duration,
+    last: Instant,
+    /// Environment steps of the newest checkpoint.
+    env_steps: Option<u64>,
+    clock: Clock,
+}
+
+impl Saves {
+    /// A run that has taken steps has them from its checkpoint.
+    fn new(schedule: &RunConfig, env_steps: u64) -> Self {
+        let minutes = schedule.checkpoint_minutes.max(0.0);
+        Self {
+            pause: Duration::try_from_secs_f64(60.0 * minutes).unwrap_or(Duration::MAX),
+            last: Instant::now(),
+            env_steps: (env_steps > 0).then_some(env_steps),
+            clock: Clock::start(),
+        }
     }
 }
 
