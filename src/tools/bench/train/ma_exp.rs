@@ -44,7 +44,7 @@ impl MaExpRound {
         let environment = methods::open_environment(&setup.environment)?;
         let products = setup.run.settled_products()?;
         products.use_here();
-        let mut config = Config::of(&setup)?;
+        let mut config: Config = setup.own()?;
         // As the PyTorch of today has it; the work is the same.
         config.optimiser.early_epsilon = false;
         let mut weights = generator(seed, Purpose::Weights, 0);

@@ -1,7 +1,10 @@
-//! The keys that runs of several methods have.
+//! The keys that runs of several methods have, and the types of their sections.
+
+use sortie_nn::schedule::linear;
 
 use super::key::Range::{Number, Numbers, OneOf, Positive, Text, Whole};
 use super::key::{Key, Range, Section};
+use crate::section;
 
 /// Most environment steps that anything may last.
 pub const STEPS: i64 = 1_000_000_000_000;
@@ -38,53 +41,66 @@ pub const INSTANCES: Key = key(
     "Episodes that run at the same time; one that ends restarts at once, or with all others where whole episodes are learned from.",
 );
 
-/// The keys of [`OptimiserConfig`](super::OptimiserConfig).
-pub const OPTIMISER: &[Key] = &[
-    key("learning_rate", "step of Adam", Number(0.0, 1000.0), "Learning rate of Adam."),
-    key(
-        "learning_rate_end",
-        "step of Adam",
-        Number(0.0, 1000.0),
-        "Learning rate at the end of the run.",
-    ),
-    key(
-        "decay_from",
-        "share of the run",
-        SHARE,
-        "When the learning rate begins to go to its end, in a straight line.",
-    ),
-    key("epsilon", "slope", Positive(1.0), "Added to Adam's denominator."),
-    key("clip", "norm", Positive(1e9), "Largest norm of the gradient; a longer one is shortened."),
-    key(
-        "target_rate",
-        "share per update",
-        SHARE,
-        "How far the target network moves towards the weights.",
-    ),
-    key(
-        "average_rate",
-        "share per update",
-        SHARE,
-        "How far the averaged weights move, which are evaluated and shipped.",
-    ),
-];
+section! {
+    /// How the weights follow the gradient.
+    #[serde(default)]
+    OptimiserConfig, pub OPTIMISER;
 
-/// The keys of [`ExplorationConfig`](super::ExplorationConfig).
-pub const EXPLORATION: &[Key] = &exploration("Length of the way down.");
+    /// Learning rate of Adam.
+    learning_rate: f32 = 1e-3, Number(0.0, 1000.0), "step of Adam";
+    /// Learning rate at the end of the run.
+    learning_rate_end: f32 = 0.0, Number(0.0, 1000.0), "step of Adam";
+    /// When the learning rate begins to go to its end, in a straight line.
+    decay_from: f64 = 0.5, SHARE, "share of the run";
+    /// Added to Adam's denominator.
+    epsilon: f32 = 1e-5, Positive(1.0), "slope";
+    /// Largest norm of the gradient; a longer one is shortened.
+    clip: f32 = 10.0, Positive(1e9), "norm";
+    /// How far the target network moves towards the weights.
+    target_rate: f32 = 0.01, SHARE, "share per update";
+    /// How far the averaged weights move, which are evaluated and shipped.
+    average_rate: f32 = 0.0005, SHARE, "share per update";
+}
+
+impl OptimiserConfig {
+    /// The learning rate, `step` environment steps into a run of `steps`.
+    pub fn learning_rate_at(&self, step: u64, steps: u64) -> f32 {
+        let from = (self.decay_from * steps as f64) as u64;
+        let (start, end) = (self.learning_rate, self.learning_rate_end);
+        if step < from {
+            return start;
+        }
+        linear(start, end, steps.saturating_sub(from), step.saturating_sub(from))
+    }
+}
+
+section! {
+    /// How much the agents try out: a random available action with probability epsilon.
+    #[serde(default)]
+    ExplorationConfig, pub EXPLORATION;
+
+    /// At the first step.
+    start: f32 = 1.0, SHARE, "probability";
+    /// From step `steps` on.
+    end: f32 = 0.05, SHARE, "probability";
+    /// Length of the way down.
+    steps: u64 = 60_000, Whole(0, STEPS), "environment steps";
+    /// Factors on the probability, dealt to the instances in turn: some act greedily, some more wildly.
+    spread: Vec<f32> = vec![0.0, 0.2, 1.0, 2.0], Numbers(0.0, 100.0), "factor";
+}
+
+impl ExplorationConfig {
+    /// Epsilon before the instances' factors, `step` environment steps into a run.
+    pub fn epsilon_at(&self, step: u64) -> f32 {
+        linear(self.start, self.end, self.steps, step)
+    }
+}
 
 /// The keys of exploration, with a sentence about its way down.
 pub const fn exploration(steps: &'static str) -> [Key; 4] {
-    [
-        key("start", "probability", SHARE, "At the first step."),
-        key("end", "probability", SHARE, "From step `steps` on."),
-        key("steps", "environment steps", Whole(0, STEPS), steps),
-        key(
-            "spread",
-            "factor",
-            Numbers(0.0, 100.0),
-            "Factors on the probability, dealt to the instances in turn: some act greedily, some more wildly.",
-        ),
-    ]
+    let mut keys = [EXPLORATION[0], EXPLORATION[1], EXPLORATION[2], EXPLORATION[3]];
+    keys[2].about = steps;
+    keys
 }
 
 /// How long a run of any method learns.
@@ -132,3 +148,22 @@ pub const RUN: Section = Section {
         ),
     ],
 };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_learning_rate_stays_and_then_falls() {
+        let optimiser = OptimiserConfig {
+            learning_rate: 2.0,
+            learning_rate_end: 1.0,
+            decay_from: 0.5,
+            ..OptimiserConfig::default()
+        };
+        let rates = [0, 50, 75, 100, 200].map(|step| optimiser.learning_rate_at(step, 100));
+        assert_eq!(rates, [2.0, 2.0, 1.5, 1.0, 1.0]);
+        let constant = OptimiserConfig { decay_from: 1.0, ..optimiser };
+        assert_eq!([0, 50, 99].map(|step| constant.learning_rate_at(step, 100)), [2.0; 3]);
+    }
+}

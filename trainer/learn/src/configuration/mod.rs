@@ -4,18 +4,21 @@ mod define;
 mod explained;
 mod key;
 mod keys;
-mod parts;
 
 use serde::Serialize;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
+#[doc(hidden)]
+pub use define::{count, joined};
 pub use explained::explained;
 pub(crate) use key::find;
 use key::nearest_path;
 pub use key::{Key, Range, Section, paths};
-pub use keys::{EXPLORATION, INSTANCES, OPTIMISER, RUN, SHARE, STEPS, WHERE, exploration};
-pub use parts::{ExplorationConfig, OptimiserConfig};
+pub use keys::{
+    EXPLORATION, ExplorationConfig, INSTANCES, OPTIMISER, OptimiserConfig, RUN, SHARE, STEPS, WHERE,
+    exploration,
+};
 
 use crate::error::LearnError;
 

@@ -1,20 +1,139 @@
-//! Agents look at scenes and choose by their policies.
+//! The policies: each agent's own observation becomes scores of its actions. Agents that look at scenes and choose by them,
+//! and as they are deployed: by graphs over an agent's own row, one for each group.
 
+use std::ops::Range;
+
+use sortie_core::choose::masked_argmax;
+use sortie_core::{DecideError, Decision, Policy};
 use sortie_envs::random::unit;
 use sortie_envs::{EntitySet, Environment, Observation, Random};
 use sortie_learn::Scene;
+use sortie_learn::export::{
+    DenseLayer, DeployedAgents, DeployedNetworks, OwnRowNetwork, OwnRowNetworks,
+};
+use sortie_nn::layers::normalise::EPSILON;
 use sortie_nn::layers::softmax;
-use sortie_nn::tape::Tape;
+use sortie_nn::random::Generator;
+use sortie_nn::tape::{Linear, Parameters, Pass, Tape, Var};
 
-use super::drawing::{best, drawn};
-use super::groups::Groups;
-use super::policies::Policies;
-use super::running::Running;
+use super::groups::{Groups, Running, bent, best, drawn};
+
+/// The policies of all groups: a first layer, and two more for each head.
+#[derive(Clone, Debug)]
+pub struct Policies {
+    /// The weights, group behind group.
+    pub parameters: Parameters,
+    slope: f32,
+    groups: Vec<Layers>,
+}
+
+/// What policies are made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PolicyShape {
+    /// Columns behind the first layer, and behind the second.
+    pub widths: [usize; 2],
+    /// Ways to score actions that share the first layer.
+    pub heads: usize,
+    /// What is made of numbers below zero.
+    pub slope: f32,
+}
+
+#[derive(Clone, Debug)]
+struct Layers {
+    first: Linear,
+    heads: Vec<[Linear; 2]>,
+    /// Where the weights stand, those of the first layer before the others.
+    range: Range<usize>,
+    shared: usize,
+}
+
+impl Policies {
+    /// Draws the first weights.
+    pub fn new(shape: PolicyShape, groups: &Groups, random: &mut Generator) -> Self {
+        let mut parameters = Parameters::default();
+        let [base, width] = shape.widths;
+        let layers = groups.0.iter().enumerate().map(|(index, group)| {
+            let start = parameters.values.len();
+            let mut linear = |layer: usize, input, output| {
+                let name = format!("policy.{index}.{layer}");
+                parameters.linear(&name, input, output, random)
+            };
+            let first = linear(0, group.inputs(), base);
+            let heads = (0..shape.heads).map(|head| {
+                [linear(2 * head + 1, base, width), linear(2 * head + 2, width, group.actions)]
+            });
+            let heads = heads.collect();
+            let shared = (group.inputs() + 1) * base;
+            Layers { first, heads, range: start..parameters.values.len(), shared }
+        });
+        let groups = layers.collect();
+        Self { parameters, slope: shape.slope, groups }
+    }
+
+    /// Where the weights of each group stand.
+    pub fn ranges(&self) -> impl Iterator<Item = Range<usize>> + '_ {
+        self.groups.iter().map(|layers| layers.range.clone())
+    }
+
+    /// Where those of each group stand that all its heads share.
+    pub fn shared(&self) -> impl Iterator<Item = Range<usize>> + '_ {
+        self.groups.iter().map(|layers| layers.range.start..layers.range.start + layers.shared)
+    }
+
+    /// How many heads each group has.
+    pub fn heads(&self) -> usize {
+        self.groups.first().map_or(0, |layers| layers.heads.len())
+    }
+
+    /// What is made of numbers below zero.
+    pub fn slope(&self) -> f32 {
+        self.slope
+    }
+
+    /// The layers of each group with one of its heads.
+    pub fn layers(&self, head: usize) -> impl Iterator<Item = [Linear; 3]> {
+        self.groups.iter().map(move |layers| {
+            let [second, last] = layers.heads[head];
+            [layers.first, second, last]
+        })
+    }
+
+    /// By groups and heads, `[rows, actions]`: the scores of actions in some records, whose softmax are their chances.
+    pub fn scores(
+        &self,
+        pass: &mut Pass<'_>,
+        groups: &Groups,
+        observations: &[Vec<f32>],
+        records: Range<usize>,
+    ) -> Vec<Var> {
+        self.scores_of(0..self.heads(), pass, groups, observations, records)
+    }
+
+    /// The same of some heads.
+    pub fn scores_of(
+        &self,
+        heads: Range<usize>,
+        pass: &mut Pass<'_>,
+        groups: &Groups,
+        observations: &[Vec<f32>],
+        records: Range<usize>,
+    ) -> Vec<Var> {
+        let mut scores = Vec::new();
+        for ((layers, group), observations) in self.groups.iter().zip(&groups.0).zip(observations) {
+            let x = pass.input(group.inputs(), group.rows(observations, group.inputs(), &records));
+            let x = bent(pass, x, layers.first, self.slope);
+            for [second, last] in &layers.heads[heads.clone()] {
+                let x = bent(pass, x, *second, self.slope);
+                scores.push(pass.linear(x, *last));
+            }
+        }
+        scores
+    }
+}
 
 /// What becomes of observations before networks are shown them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Inputs {
-    /// Whether they are normalised.
     pub(crate) normalised: bool,
     /// What they are multiplied with if they are not.
     pub(crate) scale: f32,
@@ -84,7 +203,6 @@ pub(crate) struct Actors<'a> {
     pub(crate) groups: &'a Groups,
     pub(crate) inputs: Inputs,
     pub(crate) policies: &'a Policies,
-    /// Which of their heads.
     pub(crate) head: usize,
     pub(crate) weights: &'a [f32],
     pub(crate) running: &'a Running,
@@ -180,6 +298,110 @@ impl Acting {
                 };
             }
         }
+    }
+}
+
+/// The agents that these policies are, in teams with so many actions.
+pub(crate) fn deployed(actors: Actors<'_>, actions: usize) -> DeployedAgents<'_> {
+    let policy = OwnPass { actors, acting: Acting::default(), actions };
+    DeployedAgents {
+        networks: DeployedNetworks::OwnRow(networks(actors)),
+        policy: Box::new(policy),
+    }
+}
+
+/// The policies' layers. What is done to their inputs is folded into the first.
+fn networks(actors: Actors<'_>) -> OwnRowNetworks {
+    let (mut network_of, mut networks) = (Vec::new(), Vec::new());
+    for (index, layers) in actors.policies.layers(actors.head).enumerate() {
+        let group = &actors.groups.0[index];
+        let [mut first, second, last] = layers.map(|layer| dense(actors.weights, layer));
+        Columns::of(actors, index).fold(&mut first);
+        network_of.resize(group.agents.end, index);
+        networks
+            .push(OwnRowNetwork { features: group.observed, layers: vec![first, second, last] });
+    }
+    OwnRowNetworks { slope: actors.policies.slope(), network_of, networks }
+}
+
+/// What becomes of each input of a group's network: a factor times it, and an offset.
+struct Columns(Vec<[f64; 2]>);
+
+impl Columns {
+    fn of(actors: Actors<'_>, index: usize) -> Self {
+        let Actors { groups, inputs, running, .. } = actors;
+        let group = &groups.0[index];
+        let column = |column: usize| {
+            if inputs.normalised {
+                let factor = 1.0 / (running.variances[index][column] + f64::from(EPSILON)).sqrt();
+                [factor, -factor * running.means[index][column]]
+            } else if column < group.observed {
+                [f64::from(inputs.scale), 0.0]
+            } else {
+                [1.0, 0.0]
+            }
+        };
+        Self((0..group.inputs()).map(column).collect())
+    }
+
+    /// Takes factors and offsets into a layer behind them.
+    fn fold(&self, layer: &mut DenseLayer) {
+        let rows = layer.weight.chunks_exact_mut(layer.inputs).zip(&mut layer.bias);
+        for (row, bias) in rows {
+            let mut sum = f64::from(*bias);
+            for (weight, [factor, offset]) in row.iter_mut().zip(&self.0) {
+                sum += f64::from(*weight) * offset;
+                *weight = (f64::from(*weight) * factor) as f32;
+            }
+            *bias = sum as f32;
+        }
+    }
+}
+
+fn dense(weights: &[f32], layer: Linear) -> DenseLayer {
+    let [inputs, outputs] = [layer.shape.input, layer.shape.output];
+    let part = |start: usize, length: usize| weights[start..start + length].to_vec();
+    DenseLayer {
+        inputs,
+        weight: part(layer.weight, inputs * outputs),
+        bias: layer.bias.map_or_else(|| vec![0.0; outputs], |start| part(start, outputs)),
+    }
+}
+
+/// Decides with the trainer's own forward pass: what golden observations expect of every engine.
+struct OwnPass<'a> {
+    actors: Actors<'a>,
+    acting: Acting,
+    actions: usize,
+}
+
+impl Policy for OwnPass<'_> {
+    fn actions(&self) -> usize {
+        self.actions
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &sortie_core::Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let agent = observation.self_index;
+        let row = observation.rows.get(agent * observation.stride..).unwrap_or_default();
+        let scores = self.acting.look_from(self.actors, agent, row);
+        let scores = scores.ok_or(DecideError::BadLength)?;
+        utilities.fill(0.0);
+        let known = utilities.get_mut(..scores.len()).ok_or(DecideError::BadLength)?;
+        known.copy_from_slice(scores);
+        Ok(())
+    }
+
+    fn decide(
+        &mut self,
+        observation: &sortie_core::Observation<'_>,
+    ) -> Result<Decision, DecideError> {
+        let mut utilities = vec![0.0; self.actions];
+        self.utilities(observation, &mut utilities)?;
+        masked_argmax(&utilities, observation.available)
     }
 }
 

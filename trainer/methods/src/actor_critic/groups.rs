@@ -1,9 +1,14 @@
-//! Who shares networks, and where an agent's rows stand.
+//! Who shares networks and where an agent's rows stand; how rows are normalised, what critics are shown and say, whatever
+//! their layers, and how actions are drawn by their scores.
 
 use std::ops::Range;
 
-use sortie_envs::Spec;
-use sortie_nn::layers::VisibleLists;
+use sortie_envs::random::unit;
+use sortie_envs::{Random, Spec};
+use sortie_learn::{LearnError, State};
+use sortie_nn::layers::normalise::Moments;
+use sortie_nn::layers::{VisibleLists, softmax};
+use sortie_nn::tape::{Linear, Pass, Var};
 
 /// Agents that share a policy and a critic's own layers: those of a role, or one alone.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -117,6 +122,161 @@ impl Groups {
     }
 }
 
+/// Slope of leaky ReLU below zero.
+pub(crate) const SLOPE: f32 = 0.01;
+
+/// What was done, as a critic is shown it, by groups.
+#[derive(Debug, Default)]
+pub struct Encoded {
+    /// `[rows, columns]`
+    pub(crate) taken: Rows,
+    /// `[rows, actions]`: the own action, which only some critics see.
+    pub(crate) own: Rows,
+}
+
+/// What a critic is shown, by groups: rows of records.
+#[derive(Clone, Copy, Debug)]
+pub struct Shown<'a> {
+    /// `[rows, inputs]`
+    pub observations: &'a Rows,
+    /// What was done.
+    pub encoded: &'a Encoded,
+}
+
+/// What a critic says.
+#[derive(Debug)]
+pub struct Values {
+    /// By groups, `[rows, actions]`: the value of each own action, or `[rows, 1]` of the one that it sees.
+    pub of_actions: Vec<Var>,
+    /// `[rows, width]`: what attention makes of the others, where it is learned.
+    pub attended: Option<Var>,
+    /// `[rows, 1]`: the squared scores of attention, where it is learned.
+    pub squared_scores: Option<Var>,
+    /// By groups, `[rows, actions]`: the leaves of own actions that it sees.
+    pub own: Vec<Var>,
+}
+
+/// A layer with leaky ReLU behind it.
+pub(crate) fn leaky(pass: &mut Pass<'_>, x: Var, layer: Linear) -> Var {
+    bent(pass, x, layer, SLOPE)
+}
+
+/// A layer behind which numbers below zero count so many times as much.
+pub(crate) fn bent(pass: &mut Pass<'_>, x: Var, layer: Linear, slope: f32) -> Var {
+    if slope == 0.0 {
+        return pass.linear_rectified(x, layer);
+    }
+    let y = pass.linear(x, layer);
+    pass.leaky_relu(y, slope)
+}
+
+/// Where drawn actions come from.
+pub trait Draw {
+    /// Draws an action for every row of every group, by the scores of actions `[rows, actions]`.
+    fn draw(&mut self, groups: &Groups, scores: &Rows) -> Vec<Vec<u32>>;
+
+    /// Adds Gumbel's noise to scores, whose largest is then drawn by their softmax; none unless there is chance in it.
+    fn shake(&mut self, scores: &mut [f32]) {
+        let _ = scores;
+    }
+}
+
+impl Draw for Random {
+    fn draw(&mut self, groups: &Groups, scores: &Rows) -> Vec<Vec<u32>> {
+        let mut chances = Vec::new();
+        let mut of_group = |(group, scores): (&Group, &Vec<f32>)| {
+            let rows = scores.chunks_exact(group.actions);
+            rows.map(|scores| {
+                chances.clear();
+                chances.extend_from_slice(scores);
+                softmax::forward(&mut chances);
+                drawn(&chances, unit(self) as f32)
+            })
+            .collect()
+        };
+        groups.0.iter().zip(scores).map(&mut of_group).collect()
+    }
+
+    fn shake(&mut self, scores: &mut [f32]) {
+        for score in scores {
+            let number = unit(self).max(f64::MIN_POSITIVE);
+            *score -= (-number.ln()).ln() as f32;
+        }
+    }
+}
+
+/// The best action of every row of every group.
+pub(crate) fn best_of_all(groups: &Groups, scores: &Rows) -> Vec<Vec<u32>> {
+    let all = groups.0.iter().zip(scores);
+    all.map(|(of, scores)| scores.chunks_exact(of.actions).map(best).collect()).collect()
+}
+
+/// The first of the largest.
+pub(crate) fn best(scores: &[f32]) -> u32 {
+    let largest = scores.iter().enumerate().reduce(|a, b| if b.1 > a.1 { b } else { a });
+    largest.map_or(0, |(action, _)| action as u32)
+}
+
+/// The action whose share of 0..1 a number falls into.
+pub(crate) fn drawn(chances: &[f32], mut number: f32) -> u32 {
+    for (action, chance) in chances.iter().enumerate() {
+        if number < *chance {
+            return action as u32;
+        }
+        number -= chance;
+    }
+    (0..chances.len()).rev().find(|action| chances[*action] > 0.0).unwrap_or(0) as u32
+}
+
+/// Mean and variance of what each group's policy was shown, moved a tenth of the way with every batch.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Running {
+    /// By groups, `[inputs]`.
+    pub means: Vec<Vec<f64>>,
+    /// By groups, `[inputs]`.
+    pub variances: Vec<Vec<f64>>,
+}
+
+impl Running {
+    const RATE: f64 = 0.1;
+
+    /// Those of groups that saw nothing yet.
+    pub fn new(groups: &Groups) -> Self {
+        let all = |number: f64| groups.0.iter().map(|group| vec![number; group.inputs()]).collect();
+        Self { means: all(0.0), variances: all(1.0) }
+    }
+
+    /// Moves towards the moments of a batch of so many rows.
+    pub fn update(&mut self, group: usize, moments: &Moments, rows: usize) {
+        let unbiased = rows as f64 / (rows as f64 - 1.0).max(1.0);
+        let towards = |at: &mut f64, to: f64| *at += Self::RATE * (to - *at);
+        for (mean, to) in self.means[group].iter_mut().zip(&moments.means) {
+            towards(mean, *to);
+        }
+        for (variance, to) in self.variances[group].iter_mut().zip(&moments.variances) {
+            towards(variance, unbiased * to);
+        }
+    }
+
+    /// Visits them: rounded to f32 as part of the weights, and as they are for runs that go on.
+    pub(crate) fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        let all = || self.means.iter().chain(&self.variances).flatten();
+        let mut rounded: Vec<f32> = all().map(|moment| *moment as f32).collect();
+        state.vector("inputs", &mut rounded)?;
+        if state.is_reading() {
+            let all = self.means.iter_mut().chain(&mut self.variances).flatten();
+            all.zip(rounded).for_each(|(moment, rounded)| *moment = f64::from(rounded));
+        }
+        state.value("inputs", self)
+    }
+
+    /// Normalises what a group is shown outside of batches.
+    pub fn normalise(&self, group: usize, rows: &mut [f32]) {
+        let (means, variances) = (self.means[group].clone(), self.variances[group].clone());
+        Moments { means, variances }.normalise(rows);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -133,5 +293,27 @@ mod tests {
         let lists: Vec<Vec<usize>> = (0..6).map(|row| others.list(row).collect()).collect();
         assert_eq!(lists, [[1, 4], [0, 4], [3, 5], [2, 5], [0, 1], [2, 3]]);
         assert_eq!(records, [0, 0, 1, 1, 0, 1]);
+    }
+
+    #[test]
+    fn actions_are_drawn_by_their_chances() {
+        for (number, action) in [(0.0, 1), (0.24, 1), (0.26, 2), (0.99, 2), (1.0, 2)] {
+            assert_eq!(drawn(&[0.0, 0.25, 0.75, 0.0], number), action, "{number}");
+        }
+    }
+
+    #[test]
+    fn the_largest_of_shaken_scores_is_drawn_by_their_softmax() {
+        let mut random = sortie_envs::random::generator(1);
+        let chances = [0.1_f32, 0.6, 0.3];
+        let mut drawn = [0; 3];
+        for _ in 0..20_000 {
+            let mut scores = chances.map(f32::ln);
+            random.shake(&mut scores);
+            drawn[best(&scores) as usize] += 1;
+        }
+        for (count, chance) in drawn.into_iter().zip(chances) {
+            assert!((count as f32 / 20_000.0 - chance).abs() < 0.015, "{drawn:?}");
+        }
     }
 }

@@ -3,16 +3,7 @@
 
 pub(crate) mod acting;
 pub(crate) mod batch;
-pub(crate) mod decision;
-pub(crate) mod deployed;
-pub(crate) mod drawing;
-pub(crate) mod experience;
 pub(crate) mod groups;
 pub(crate) mod heads;
 pub(crate) mod losses;
-pub(crate) mod policies;
-pub(crate) mod policy_gradient;
 pub(crate) mod replay;
-pub(crate) mod running;
-pub(crate) mod step;
-pub(crate) mod values;

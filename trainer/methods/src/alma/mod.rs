@@ -3,18 +3,270 @@
 //!
 //! Two learners: one from [`records`], the preset `fast`, one from [`windows`], the preset `paper`.
 
+/// What networks have whose parameters are all in one vector.
+macro_rules! flat_network {
+    ($network:ident, $shape:ident) => {
+        impl $network {
+            /// One with these parameters, or `None` where their number does not fit the shape.
+            pub fn from_parameters(shape: $shape, parameters: Vec<f32>) -> Option<Self> {
+                (parameters.len() == shape.parameters()).then_some(Self { shape, parameters })
+            }
+
+            /// The sizes.
+            pub fn shape(&self) -> $shape {
+                self.shape
+            }
+
+            /// All parameters, in the order of the shape's tensors.
+            pub fn parameters(&self) -> &[f32] {
+                &self.parameters
+            }
+
+            /// All parameters, to be changed.
+            pub fn parameters_mut(&mut self) -> &mut [f32] {
+                &mut self.parameters
+            }
+        }
+    };
+}
+
 pub mod agents;
 pub mod coach;
-mod config;
-pub mod configuration;
 pub mod evaluate;
 pub mod export;
-mod presets;
 pub mod records;
 pub mod run;
 pub mod teams;
 pub mod windows;
 
-pub use config::Config;
-pub use presets::{ALMA, COPA, FLAT, METHODS};
+use sortie_envs::Spec;
+use sortie_learn::configuration::{Section, check_table};
+use sortie_learn::run::RunConfig;
+use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
+use sortie_learn::{LearnError, Method};
+use toml::Table;
+
+use agents::Conditioning;
+use records::{Records, STAND_INS};
+use run::learned;
+use teams::Allocation;
+use windows::WindowLearner;
+
 pub use run::{Run, RunAllocator};
+
+/// What a run learns by.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Config {
+    /// Records of one step and one subtask: the preset `fast`.
+    Records(Box<records::Config>),
+    /// Windows of whole episodes: the preset `paper`.
+    Windows(Box<windows::Config>),
+}
+
+impl Config {
+    /// What a setup says.
+    ///
+    /// # Errors
+    /// A key is unknown, or a value impossible.
+    pub fn of(setup: &Setup) -> Result<Self, LearnError> {
+        let mut own = setup.own.clone();
+        settle_older(&mut own);
+        check_table("", &own, keys(&own))?;
+        let setup = Setup { own, ..setup.clone() };
+        Ok(if is_windows(&setup.own) {
+            Self::Windows(Box::new(windows::Config::of(&setup)?))
+        } else {
+            Self::Records(Box::new(records::Config::of(&setup)?))
+        })
+    }
+
+    fn method(&self) -> &'static str {
+        match (self.subtask(), self) {
+            (_, Self::Windows(config)) if config.coach.enabled => "copa",
+            (Conditioning::None, _) => "flat",
+            (Conditioning::Mask | Conditioning::Input, _) => "alma",
+        }
+    }
+
+    /// What the agents see of the subtasks.
+    pub fn subtask(&self) -> Conditioning {
+        match self {
+            Self::Records(config) => config.network.subtask,
+            Self::Windows(config) => config.low_level.conditioning,
+        }
+    }
+
+    /// Steps between decisions, unless the open tasks change.
+    pub fn interval(&self) -> u32 {
+        match self {
+            Self::Records(config) => config.allocation.interval,
+            Self::Windows(config) => config.allocation.interval,
+        }
+    }
+}
+
+fn keys(own: &Table) -> &'static [Section] {
+    if is_windows(own) { windows::config::KEYS } else { records::config::KEYS }
+}
+
+/// Whether it learns from windows; tables about records do not say so.
+fn is_windows(own: &Table) -> bool {
+    own.get("learner").and_then(toml::Value::as_str) == Some("windows")
+}
+
+/// Runs that do not say whether embeddings skip the attention began when none did.
+fn settle_older(run: &mut Table) {
+    if is_windows(run) {
+        return;
+    }
+    for path in [&["network"][..], &["allocator", "network"]] {
+        let section = path.iter().try_fold(&mut *run, |table, name| {
+            table.entry(*name).or_insert_with(|| Table::new().into()).as_table_mut()
+        });
+        if let Some(section) = section {
+            section.entry("skip").or_insert(false.into());
+        }
+    }
+}
+
+/// The methods of this module.
+pub const METHODS: [MethodEntry; 3] = [ALMA, FLAT, COPA];
+
+const MIXER: Flag = Flag { name: "--mixer", assignments: &["mixer.kind={}"] };
+
+/// ALMA: agents act on the subtasks that an allocator gives them.
+pub const ALMA: MethodEntry = MethodEntry {
+    name: "alma",
+    about: "Subtask-masked utilities under an allocation (ALMA, dissertation chapter 7)",
+    keys,
+    presets: &[
+        Preset { name: "fast", setup: || fast(|_| {}) },
+        Preset { name: "paper", setup: || paper(|_| {}) },
+    ],
+    flags: &[
+        MIXER,
+        Flag { name: "--no-mask", assignments: &["network.subtask=input"] },
+        Flag { name: "--no-mask", assignments: &["low_level.conditioning=input"] },
+        Flag { name: "--allocation", assignments: &["allocation.by={}"] },
+        Flag {
+            name: "--allocation",
+            assignments: &[
+                "allocation.learned=0",
+                "allocation.coordinated=0",
+                "allocation.heuristic=0",
+                "allocation.random=0",
+                "allocation.{}=1",
+            ],
+        },
+    ],
+    in_proportion: &["exploration.steps", "allocator.learns_from", "allocator.decides_from"],
+    suit: |_, _, _| {},
+    settle_older,
+    misfit,
+    open,
+};
+
+/// The same agents without subtasks.
+pub const FLAT: MethodEntry = MethodEntry {
+    name: "flat",
+    about: "The same without subtasks: everybody sees everything and earns the whole team's reward",
+    presets: &[
+        Preset {
+            name: "fast",
+            setup: || fast(|config| config.network.subtask = Conditioning::None),
+        },
+        Preset {
+            name: "paper",
+            setup: || paper(|config| config.low_level.conditioning = Conditioning::None),
+        },
+    ],
+    flags: &[MIXER],
+    ..ALMA
+};
+
+/// COPA: flat agents whom a coach tells strategies; it learns from windows by either preset.
+pub const COPA: MethodEntry = MethodEntry {
+    name: "copa",
+    about: "Flat agents and a coach that sees everything and tells each of them a strategy now and then",
+    presets: &[
+        Preset { name: "fast", setup: coached },
+        Preset { name: "paper", setup: || paper(windows::Config::enable_coach) },
+    ],
+    flags: &[],
+    ..ALMA
+};
+
+fn fast(change: fn(&mut records::Config)) -> Setup {
+    let mut config = records::Config::default();
+    change(&mut config);
+    Setup::of(16, RunConfig::default(), &config)
+}
+
+fn paper(change: fn(&mut windows::Config)) -> Setup {
+    let run = RunConfig { steps: 10_000_000, evaluate_episodes: 160, ..RunConfig::default() };
+    let mut config = windows::Config::default();
+    change(&mut config);
+    Setup::of(8, run, &config)
+}
+
+/// Learned from windows too, under the conditions of the other methods' preset `fast`.
+fn coached() -> Setup {
+    let mut config = windows::Config::like_fast();
+    config.enable_coach();
+    Setup::of(8, RunConfig::default(), &config)
+}
+
+fn misfit(spec: &Spec) -> Option<&'static str> {
+    if spec.shape.tasks == 0 || !spec.rewards.tasks {
+        return Some("it has no subtasks with rewards of their own");
+    }
+    let has = |name: &Allocation| spec.rules.iter().any(|rule| rule.name == name.name());
+    (!STAND_INS.iter().all(has)).then_some(
+        "it lacks a rule of allocation, `coordinated` or `heuristic`, that stands in at first",
+    )
+}
+
+fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
+    let Opening { setup, environment, seed, threads } = *opening;
+    let config = Config::of(setup)?;
+    let (asked, found) = (&setup.method, config.method());
+    if asked != found {
+        let reason = format!("`{asked}` with these values is `{found}`: `sortie train {found}`");
+        return Err(LearnError::Config(reason));
+    }
+    Ok(match config {
+        Config::Records(config) => {
+            let records = Records::new(&config, environment, seed, threads);
+            Box::new(records.beginning_with(learned))
+        }
+        Config::Windows(config) => {
+            let windows = WindowLearner::new(&config, environment.spec(), seed, threads);
+            Box::new(windows.beginning_with(learned))
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::{Rewards, Rule, Shape};
+
+    use super::*;
+
+    #[test]
+    fn what_an_environment_lacks_is_said() {
+        let mut spec = Spec {
+            shape: Shape { agents: 2, entities: 4, tasks: 2, actions: 3, features: 2 },
+            rewards: Rewards { tasks: true, agents: false },
+            rules: &[
+                Rule { name: "coordinated", about: "" },
+                Rule { name: "heuristic", about: "" },
+            ],
+            ..Spec::default()
+        };
+        assert_eq!(misfit(&spec), None);
+        spec.rules = &spec.rules[..1];
+        assert!(misfit(&spec).is_some_and(|lack| lack.contains("`heuristic`")));
+        spec.shape.tasks = 0;
+        assert!(misfit(&spec).is_some_and(|lack| lack.contains("no subtasks")));
+    }
+}

@@ -8,13 +8,13 @@ use sortie_learn::LearnError;
 use sortie_learn::run::{Checkpoint, CurvePoint, RunDescription, RunFolder, checkpoint};
 use sortie_nn::layers::gru::lengths;
 
-use super::config::Config;
+use super::Config;
+use super::agents::{Learned, UtilityNetwork, network_of};
+use super::coach::Coach;
 use super::records::team_value::TeamValueAllocator;
+use super::teams::{Agents, Allocate, NetworkTeam};
 use super::windows::allocation::{AllocationCritic, AllocationNetworks, AllocationPolicy};
 use super::windows::{self, PopArt, ProposalAllocator, WindowShape};
-use crate::alma::agents::{Learned, UtilityNetwork, network_of};
-use crate::alma::coach::Coach;
-use crate::alma::teams::{Agents, Allocate, NetworkTeam};
 
 /// A learned allocator.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,5 +1,8 @@
 //! The agent without goals as a [`Method`].
 
+#[cfg(test)]
+mod tests;
+
 use sortie_envs::random::chance;
 use sortie_envs::{Environment, Random};
 use sortie_learn::random::{Purpose, generator};
@@ -7,15 +10,12 @@ use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 
-use super::config::{Config, MeasuredConfig, NetworkConfig};
 use super::returns::{PayRules, returns};
+use super::{Config, MeasuredConfig, NetworkConfig};
 use crate::options::{
     Actors, Lesson, Memory, NONE, Place, Player, Recorder, Replay, descend, shown,
 };
 use crate::pictures::{Heads, Learner, NetworkShape, Shown};
-
-#[cfg(test)]
-mod tests;
 
 /// Steps of a stretch that reaches no milestone: as many as an option of HAL has.
 const STRETCH: u8 = 51;

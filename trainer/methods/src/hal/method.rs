@@ -1,5 +1,6 @@
 //! HAL as a [`Method`].
 
+use sortie_envs::random::chance;
 use sortie_envs::{Environment, Random, Sign};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
@@ -7,12 +8,12 @@ use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 
-use super::affordances::{self, Classes};
-use super::config::{AffordancesConfig, Config, MeasuredConfig, NetworkConfig};
-use super::controller;
-use super::filter::Population;
-use super::meta;
-use crate::options::{Actors, Chances, Chooser, Mask, Player, Recorder, Replay, deployed, shown};
+use super::affordances::{self, Classes, Population};
+use super::{AffordancesConfig, Config, MeasuredConfig, MetaConfig, NetworkConfig, ReturnsConfig};
+use crate::options::{
+    self, Actors, Chances, Chooser, Lesson, Mask, NONE, Next, OptionPlace, Place, Player, Recorder,
+    Replay, ReplayConfig, course, deployed, shown, window,
+};
 use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
 
 /// An agent that learns which milestones can be reached, which to go for, and how.
@@ -38,7 +39,7 @@ pub struct Hal {
     /// Draws what updates learn from.
     random: Random,
     updates: u64,
-    memories: (controller::Memory, meta::Memory, affordances::Memory),
+    memories: (ControllerMemory, MetaMemory, affordances::Memory),
 }
 
 /// What masks say of a milestone beside the truth, over all choices of a goal.
@@ -155,13 +156,12 @@ impl Hal {
         let exponent = sizes.importance_at(now);
         let controller = &mut self.controller;
         let (settings, kept) = ((returns, sizes, exponent), (&mut *replay, shown, environment));
-        let loss = controller::descend(controller, heads, settings, kept, &mut memories.0, random);
+        let loss = update_controller(controller, heads, settings, kept, &mut memories.0, random);
         reports.agents.push(controller.step(optimiser, learning_rate, weights.decay, loss));
         let meta = &mut self.meta;
         if self.updates > own.first && self.updates.is_multiple_of(own.every) {
             let (heads, settings) = (heads.of_goals(network.dueling), (own, returns, exponent));
-            let loss =
-                meta::descend(meta, heads, settings, (replay, shown), &mut memories.1, random);
+            let loss = update_meta(meta, heads, settings, (replay, shown), &mut memories.1, random);
             let report = |loss| meta.step(optimiser, learning_rate, weights.decay, loss);
             reports.allocator.extend(loss.map(report));
         }
@@ -332,4 +332,102 @@ impl Act for Measured<'_> {
         self.count_masks(scenes);
         Ok(())
     }
+}
+
+/// Memory of updates of the controller: how actions lead to each milestone (equation 6.1, double Q-learning).
+pub(super) type ControllerMemory = options::Memory<Place>;
+
+/// Adds the gradient of an update of the controller, and returns its loss.
+pub(super) fn update_controller(
+    learner: &mut Learner,
+    heads: Heads,
+    (returns, sizes, exponent): (&ReturnsConfig, &ReplayConfig, f32),
+    (replay, shown, environment): (&mut Replay, &Shown, &dyn Environment),
+    memory: &mut ControllerMemory,
+    random: &mut Random,
+) -> f64 {
+    memory.lessons.clear();
+    while memory.lessons.len() < sizes.batch {
+        memory.lessons.extend(draw_step(replay, (returns, sizes), environment, random));
+    }
+    let settings = (exponent, returns.bounded);
+    let loss = options::descend(learner, heads, settings, (replay, shown), memory);
+    replay.correct_steps(memory.corrections());
+    loss
+}
+
+/// A step to learn from; none where it is none to begin with.
+fn draw_step(
+    replay: &Replay,
+    (returns, sizes): (&ReturnsConfig, &ReplayConfig),
+    environment: &dyn Environment,
+    random: &mut Random,
+) -> Option<Lesson<Place>> {
+    let rules = returns.rules();
+    let (place, priority) = replay.draw(sizes.reached, random);
+    let window = window(replay, place, rules)?;
+    let moment = replay.moment(place);
+    let is_mirrored = returns.mirror && chance(random, 0.5);
+    let action = environment.turned_action(is_mirrored.into(), moment.action.into());
+    let other = if returns.relabel { moment.option_reached } else { NONE };
+    let other = if other == moment.goal { NONE } else { other };
+    let goals = [moment.goal, other].map(|goal| (goal, window.earned(goal, rules)));
+    let next = window.next.map(|place| Next { place, discount: window.discount, mask: u32::MAX });
+    let action = action.into();
+    Some(Lesson { drawn: place, priority, state: place, is_mirrored, action, goals, next })
+}
+
+/// Memory of updates of the meta-controller: how goals lead to the task.
+pub(super) type MetaMemory = options::Memory<OptionPlace>;
+
+/// Draws of an option before an update is given up: nothing is kept yet.
+const TRIES: usize = 10_000;
+
+/// Adds the gradient of an update of the meta-controller, and returns its loss; none where too little is kept.
+pub(super) fn update_meta(
+    learner: &mut Learner,
+    heads: Heads,
+    (config, returns, exponent): (&MetaConfig, &ReturnsConfig, f32),
+    (replay, shown): (&mut Replay, &Shown),
+    memory: &mut MetaMemory,
+    random: &mut Random,
+) -> Option<f64> {
+    memory.lessons.clear();
+    for _ in 0..TRIES {
+        memory.lessons.extend(draw_option(replay, heads.actions, (config, returns), random));
+        if memory.lessons.len() == config.batch {
+            break;
+        }
+    }
+    if memory.lessons.len() < config.batch {
+        return None;
+    }
+    let settings = (exponent, returns.bounded);
+    let loss = options::descend(learner, heads, settings, (replay, shown), memory);
+    replay.correct_options(memory.corrections());
+    Some(loss)
+}
+
+/// An option to learn from; none where it is none to begin with.
+fn draw_option(
+    replay: &mut Replay,
+    milestones: usize,
+    (config, returns): (&MetaConfig, &ReturnsConfig),
+    random: &mut Random,
+) -> Option<Lesson<OptionPlace>> {
+    let option = replay.draw_option_by_priority(random).or_else(|| {
+        let is_solved = chance(random, config.solved.into());
+        let place = replay.draw_option(is_solved, random);
+        place.or_else(|| replay.draw_option(false, random)).map(|place| (place, 1.0))
+    });
+    let (drawn, priority) = option?;
+    let course = course(replay, drawn, returns.course_rules(config, milestones))?;
+    let is_mirrored = returns.mirror && chance(random, 0.5);
+    let next = course.next.map(|(place, mask)| Next {
+        place,
+        discount: course.discount,
+        mask: if config.masked { mask } else { u32::MAX },
+    });
+    let (action, goals) = (course.goal.into(), [(0, course.reward), (NONE, 0.0)]);
+    Some(Lesson { drawn, priority, state: course.start, is_mirrored, action, goals, next })
 }

@@ -6,8 +6,8 @@ use sortie_learn::Now;
 use sortie_learn::configuration::OptimiserConfig;
 use sortie_nn::gradient_check::assert_gradient;
 
-use super::config::{AffordancesConfig, Config, MetaConfig, ReturnsConfig};
-use super::{controller, meta};
+use super::method::{ControllerMemory, MetaMemory, update_controller, update_meta};
+use super::{AffordancesConfig, Config, MetaConfig, ReturnsConfig};
 use crate::options::naive::{greedy, values};
 use crate::options::{
     End, Finished, Mask, Moment, NONE, Place, Replay, ReplayConfig, course, window,
@@ -103,17 +103,17 @@ impl Scene {
         values((learner, weights, heads), (&self.replay, &self.shown), (place, false, goal))
     }
 
-    fn descend(&mut self, learner: &mut Learner, memory: &mut controller::Memory) -> f64 {
+    fn descend(&mut self, learner: &mut Learner, memory: &mut ControllerMemory) -> f64 {
         let settings = (&self.returns, &self.sizes, EXPONENT);
         let kept = (&mut self.replay, &self.shown, &*self.world);
-        controller::descend(learner, self.heads, settings, kept, memory, &mut generator(self.draws))
+        update_controller(learner, self.heads, settings, kept, memory, &mut generator(self.draws))
     }
 
     fn descend_meta(&mut self, learner: &mut Learner) -> f64 {
         let settings = (&self.meta, &self.returns, EXPONENT);
         let kept = (&mut self.replay, &self.shown);
-        let (heads, mut memory) = (self.heads.of_goals(true), meta::Memory::default());
-        meta::descend(learner, heads, settings, kept, &mut memory, &mut generator(9)).unwrap()
+        let (heads, mut memory) = (self.heads.of_goals(true), MetaMemory::default());
+        update_meta(learner, heads, settings, kept, &mut memory, &mut generator(9)).unwrap()
     }
 }
 
@@ -167,7 +167,7 @@ fn an_update_of_the_controller_is_that_of_a_naive_list() {
             errors.push((*place, sum / goals.len() as f64));
         }
         assert!(drawn.iter().any(|it| it.2.next.is_some()) && least < drawn[0].1);
-        let found = scene.descend(&mut learner, &mut controller::Memory::default());
+        let found = scene.descend(&mut learner, &mut ControllerMemory::default());
         assert!((found - loss).abs() < 1e-4 * loss, "{found} {loss}");
         // A step that was drawn now has the priority of its error.
         for _ in 0..200 {
@@ -223,7 +223,7 @@ fn gradients_of_updates_agree_with_finite_differences() {
     let loss = |weights: &[f32]| {
         let mut learner = learner.clone();
         learner.online = weights.to_vec();
-        let loss = scene().descend(&mut learner, &mut controller::Memory::default());
+        let loss = scene().descend(&mut learner, &mut ControllerMemory::default());
         (loss, learner.gradient)
     };
     assert_gradient("controller", &learner.online, &loss(&learner.online).1, |it| loss(it).0);
@@ -252,7 +252,7 @@ fn values_come_to_what_was_earned() {
     scene.returns.discount = 0.9;
     let mut learner = scene.learner(scene.heads.outputs());
     let optimiser = OptimiserConfig { target_rate: 0.0, ..OptimiserConfig::default() };
-    let mut memory = controller::Memory::default();
+    let mut memory = ControllerMemory::default();
     let mut losses = Vec::new();
     for update in 1..=400 {
         scene.draws = update;

@@ -7,7 +7,7 @@ use sortie_learn::export::{DeployedAgents, DeployedNetworks, LookupTables};
 
 use super::learner::Learner;
 use super::table::ACTIONS;
-use crate::novelty::places::{CELLS, Columns, PITS, Place};
+use crate::novelty::{CELLS, Columns, PITS, Place};
 
 /// The agents of a team that has learned so much.
 pub(super) fn deployed<'a>(learner: &'a Learner, columns: &'a Columns) -> DeployedAgents<'a> {

@@ -1,13 +1,10 @@
-//! The tables of a team, and all that their values are made of.
+//! The tables of a team, and all that their values are made of. Which frozen policy is deployed: the one of several that
+//! returned most when it was played as it is.
 
 use serde::{Deserialize, Serialize};
 
-use super::audition::Audition;
-use super::shares::Shares;
 use super::table::{ACTIONS, HEADS, Lanes, Row, Table, Terms, Version, Worth};
-use crate::novelty::counts::Counts;
-use crate::novelty::intrinsic::Intrinsic;
-use crate::novelty::places::{CELLS, Place};
+use crate::novelty::{CELLS, Counts, Intrinsic, Place};
 
 /// How a team learns.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,7 +35,6 @@ pub struct Deed<'a> {
 /// The tables of a team.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Learner {
-    /// The head that exploits.
     exploits: usize,
     /// By agents.
     pub tables: Vec<Table>,
@@ -170,3 +166,80 @@ impl Learner {
 
 /// What actions are worth where nothing is known: the last one is to stay.
 const STAYS: [f32; ACTIONS] = [0.0, 0.0, 0.0, 0.0, 1.0];
+
+/// What of the team's reward an agent's find and its steps are worth: the least squares of all steps so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Shares {
+    steps: f64,
+    finds: f64,
+    squares: f64,
+    rewards: f64,
+    products: f64,
+}
+
+impl Shares {
+    /// Adds a step in which so many agents found something.
+    pub fn add(&mut self, finds: usize, reward: f64) {
+        let finds = finds as f64;
+        self.steps += 1.0;
+        self.finds += finds;
+        self.squares += finds * finds;
+        self.rewards += reward;
+        self.products += finds * reward;
+    }
+
+    /// What a find adds for whoever made it, and what is left for each of so many agents in every step.
+    pub fn of(&self, agents: usize) -> [f32; 2] {
+        let spread = self.steps * self.squares - self.finds * self.finds;
+        let slope = self.steps * self.products - self.finds * self.rewards;
+        let find = if spread > 0.0 { slope / spread } else { 0.0 };
+        let rest = (self.rewards - find * self.finds) / self.steps.max(1.0);
+        [find as f32, (rest / agents as f64) as f32]
+    }
+}
+
+/// Policies that are tried out one after the other while others go on learning.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Audition {
+    /// Number of the policy that is tried out, from 1; 0 before the first.
+    number: u32,
+    episodes: u32,
+    returns: f64,
+    best: Option<f64>,
+}
+
+impl Audition {
+    /// The policy that is tried out, by its number; 0 where none is.
+    pub fn number(&self) -> u32 {
+        self.number
+    }
+
+    /// The mean return of the best so far.
+    pub fn best(&self) -> Option<f64> {
+        self.best
+    }
+
+    /// An episode of the policy of a number ended. Those of earlier ones do not count.
+    pub fn add(&mut self, number: u32, episode_return: f64) {
+        if number == self.number && number > 0 {
+            self.episodes += 1;
+            self.returns += episode_return;
+        }
+    }
+
+    /// Whether the next policy is to be tried out, after so many episodes of one.
+    pub fn is_over(&self, episodes: u32) -> bool {
+        self.number == 0 || self.episodes >= episodes
+    }
+
+    /// Goes on to the next policy; returns whether the one before is the best so far.
+    pub fn go_on(&mut self) -> bool {
+        let mean = self.returns / f64::from(self.episodes);
+        let is_best = self.episodes > 0 && self.best.is_none_or(|best| mean > best);
+        if is_best {
+            self.best = Some(mean);
+        }
+        *self = Self { number: self.number + 1, episodes: 0, returns: 0.0, best: self.best };
+        is_best
+    }
+}

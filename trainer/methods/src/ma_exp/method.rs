@@ -6,15 +6,13 @@ use sortie_envs::{EntitySet, Environment, Observation, Random};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{Act, LearnError, Method, Now, Scene, Scenes, State, Thought, Transition};
+use sortie_learn::{Act, Head, LearnError, Method, Now, Scene, Scenes, State, Thought, Transition};
 
-use super::config::Config;
+use super::Config;
 use super::deployed::deployed;
 use super::learner::{Deed, Learner, Rules};
-use super::selector::Selector;
 use super::table::{ACTIONS, Row, Version};
-use super::thoughts::thought;
-use crate::novelty::places::{Columns, Place};
+use crate::novelty::{Columns, Intrinsic, Place};
 
 /// Noise by which equal actions are told apart.
 const TIES: f32 = 1e-3;
@@ -256,4 +254,77 @@ impl Act for Greedy<'_> {
     fn visits(&self) -> Vec<Vec<u32>> {
         self.team.learner.counts.all()
     }
+}
+
+/// How fast means of returns follow.
+const RATE: f64 = 0.1;
+
+/// Means of the discounted returns of episodes by the head that acted in them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Selector {
+    means: Vec<Option<f64>>,
+}
+
+impl Selector {
+    /// So many heads, none of which was tried.
+    pub fn new(heads: usize) -> Self {
+        Self { means: vec![None; heads] }
+    }
+
+    /// What each head's episodes returned; none of heads that were never tried.
+    pub fn means(&self) -> &[Option<f64>] {
+        &self.means
+    }
+
+    /// An episode ended in which a head acted.
+    pub fn add(&mut self, head: usize, discounted: f64) {
+        let mean = &mut self.means[head];
+        *mean = Some(mean.map_or(discounted, |mean| mean + RATE * (discounted - mean)));
+    }
+
+    /// A head that was never tried, else with such a chance any, else one that returns much, by softmax.
+    pub fn choose(&self, any: f64, temperature: f64, random: &mut Random) -> usize {
+        let untried = self.means.iter().position(Option::is_none);
+        if let Some(head) = untried {
+            return head;
+        }
+        if chance(random, any) {
+            return below(random, self.means.len());
+        }
+        let means = || self.means.iter().flatten();
+        let best = means().copied().fold(f64::NEG_INFINITY, f64::max);
+        let shares: Vec<f64> = means().map(|mean| ((mean - best) / temperature).exp()).collect();
+        let mut left = unit(random) * shares.iter().sum::<f64>();
+        let drawn = shares.iter().position(|share| {
+            left -= share;
+            left < 0.0
+        });
+        drawn.unwrap_or(self.means.len() - 1)
+    }
+}
+
+/// What a deployed agent thinks where it is, and what its heads would pay and do there; nothing of them where it never
+/// was.
+pub(super) fn thought(learner: &Learner, rules: &Rules, agent: usize, place: Place) -> Thought {
+    let scores = learner.utilities(agent, Some(place), learner.deployed()).to_vec();
+    let mut heads = Vec::new();
+    if let Some(row) = learner.tables[agent].find(place) {
+        let paid = learner.paid(rules, agent, row);
+        let score = |action: usize, head| row.score(action, head, &rules.weights);
+        let better = |head| {
+            move |one: &usize, other: &usize| score(*one, head).total_cmp(&score(*other, head))
+        };
+        let deployed = learner.best_action(agent, place, learner.deployed());
+        heads.extend(rules.heads.iter().enumerate().map(|(head, explores)| {
+            let acts = head + 1 == rules.heads.len();
+            let likes = (0..ACTIONS).rev().max_by(better(head)).unwrap_or_default() as u16;
+            Head {
+                name: explores.map_or("none", Intrinsic::name).to_owned(),
+                pays: paid[head],
+                likes: if acts { deployed } else { likes },
+                acts,
+            }
+        }));
+    }
+    Thought { scores, heads, ..Thought::default() }
 }

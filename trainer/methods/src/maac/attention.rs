@@ -6,8 +6,7 @@ use sortie_nn::tape::Tape;
 use super::critic::Critic;
 use super::learner::Learner;
 use crate::actor_critic::acting::Acting;
-use crate::actor_critic::groups::{Group, Groups, Rows};
-use crate::actor_critic::values::Encoded;
+use crate::actor_critic::groups::{Encoded, Group, Groups, Rows};
 
 /// `[scenes, A]`: what agents that have looked at scenes think, where these are their actions.
 ///
@@ -65,10 +64,10 @@ mod tests {
     use sortie_learn::Scene;
     use sortie_nn::random::stream;
 
-    use super::super::config::{Config, CriticKind};
     use super::*;
     use crate::actor_critic::acting::Actors;
-    use crate::actor_critic::values::SLOPE;
+    use crate::actor_critic::groups::SLOPE;
+    use crate::maac::{Config, CriticKind};
 
     /// Two rovers and two towers in two scenes.
     struct Fixture {

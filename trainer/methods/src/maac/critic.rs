@@ -9,10 +9,9 @@ use sortie_nn::layers::normalise;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
-use super::config::{CriticKind, CriticShape};
 use super::joint::Joint;
-use crate::actor_critic::groups::{Group, Groups, Rows};
-use crate::actor_critic::values::{Encoded, Shown, Values, leaky};
+use super::{CriticKind, CriticShape};
+use crate::actor_critic::groups::{Encoded, Group, Groups, Rows, Shown, Values, leaky};
 
 /// A critic's layers and weights.
 #[derive(Clone, Debug)]
@@ -39,7 +38,6 @@ struct Attentive {
     value: Linear,
 }
 
-/// The layers of a group's agents.
 #[derive(Clone, Copy, Debug)]
 struct GroupLayers {
     /// Of an observation and an action, for keys and values.

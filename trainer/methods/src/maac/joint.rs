@@ -7,9 +7,8 @@ use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
-use super::config::{CriticKind, CriticShape};
-use crate::actor_critic::groups::{Groups, Rows};
-use crate::actor_critic::values::{SLOPE, Shown, Values, leaky};
+use super::{CriticKind, CriticShape};
+use crate::actor_critic::groups::{Groups, Rows, SLOPE, Shown, Values, leaky};
 
 /// Such a critic's layers.
 #[derive(Clone, Debug)]

@@ -6,16 +6,14 @@ use sortie_nn::layers::{normalise, softmax};
 use sortie_nn::optimise::{Adam, clip_norm, move_towards};
 use sortie_nn::tape::Chunks;
 
-use super::config::{Config, OwnActions, PolicyValues};
 use super::critic::Critic;
+use super::{Config, OwnActions, PolicyValues};
+use crate::actor_critic::acting::Policies;
 use crate::actor_critic::batch::Batch;
-use crate::actor_critic::drawing::{Draw, best_of_all};
-use crate::actor_critic::groups::{Groups, Rows};
-use crate::actor_critic::losses::{added, drawn_loss, expected_loss, relaxed_loss, soft_value};
-use crate::actor_critic::policies::Policies;
-use crate::actor_critic::policy_gradient::Following;
-use crate::actor_critic::running::Running;
-use crate::actor_critic::values::Encoded;
+use crate::actor_critic::groups::{Draw, Encoded, Groups, Rows, Running, best_of_all};
+use crate::actor_critic::losses::{
+    Following, added, drawn_loss, expected_loss, relaxed_loss, soft_value,
+};
 
 /// Networks and optimisers.
 #[derive(Debug)]
@@ -285,9 +283,9 @@ impl Learner {
 mod tests {
     use sortie_envs::random::generator;
 
-    use super::super::config::CriticKind;
     use super::*;
     use crate::actor_critic::groups::Group;
+    use crate::maac::CriticKind;
 
     const RECORDS: usize = 6;
 

@@ -7,13 +7,11 @@ use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Thought, Transition};
 
+use super::Config;
 use super::attention::thoughts;
-use super::config::Config;
 use super::learner::Learner;
-use crate::actor_critic::acting::{Acting, Actors, observed};
-use crate::actor_critic::batch::Batch;
-use crate::actor_critic::deployed::deployed;
-use crate::actor_critic::experience::{Experience, Rule};
+use crate::actor_critic::acting::{Acting, Actors, deployed, observed};
+use crate::actor_critic::batch::{Batch, Experience, Rule};
 use crate::actor_critic::groups::Groups;
 use crate::actor_critic::replay::{Future, Place, Replay};
 
@@ -68,15 +66,7 @@ impl Maac {
 
     /// The policies that are measured, and deployed.
     fn measured(&self) -> Actors<'_> {
-        let Self { config, learner, .. } = self;
-        Actors {
-            groups: &learner.groups,
-            inputs: config.inputs(),
-            policies: &learner.policies,
-            head: 0,
-            weights: &learner.average_policies,
-            running: &learner.running,
-        }
+        actors(&self.config, &self.learner, &self.learner.average_policies)
     }
 
     /// Draws records for an update, or takes those that are fresh.
@@ -100,6 +90,11 @@ impl Maac {
     }
 }
 
+fn actors<'a>(config: &Config, learner: &'a Learner, weights: &'a [f32]) -> Actors<'a> {
+    let Learner { groups, policies, running, .. } = learner;
+    Actors { groups, inputs: config.inputs(), policies, head: 0, weights, running }
+}
+
 impl Method for Maac {
     /// What is learned from once is all of one policy.
     fn waits(&self) -> bool {
@@ -114,15 +109,8 @@ impl Method for Maac {
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
         let Self { config, learner, experience, .. } = self;
-        let actors = Actors {
-            groups: &learner.groups,
-            inputs: config.inputs(),
-            policies: &learner.policies,
-            head: 0,
-            weights: &learner.policies.parameters.values,
-            running: &learner.running,
-        };
-        experience.act(actors, scenes, random, actions);
+        let weights = &learner.policies.parameters.values;
+        experience.act(actors(config, learner, weights), scenes, random, actions);
         Ok(())
     }
 

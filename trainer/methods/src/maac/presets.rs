@@ -8,9 +8,9 @@ use sortie_learn::{LearnError, Method};
 use sortie_nn::random::stream;
 use toml::{Table, Value};
 
-use super::config::{Config, CriticKind, CriticShape, KEYS, OwnActions, PolicyValues};
 use super::critic::Critic;
 use super::method::Maac;
+use super::{Config, CriticKind, CriticShape, KEYS, OwnActions, PolicyValues};
 use crate::actor_critic::groups::Groups;
 
 /// MAAC: policies of their own, and a critic that looks at the others.

@@ -7,19 +7,14 @@ use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::{Act, Head, LearnError, Method, Now, Scenes, State, Thought, Transition};
 
-use super::config::Config;
-use super::meta::MetaPolicy;
-use super::moments::Moments;
-use crate::actor_critic::acting::{Acting, Actors, Inputs, observe, observed};
-use crate::actor_critic::deployed::deployed;
-use crate::actor_critic::drawing::best;
-use crate::actor_critic::experience::{Experience, Rule};
+use super::Config;
+use super::meta::{MetaPolicy, Moments};
+use crate::actor_critic::acting::{Acting, Actors, Inputs, deployed, observe, observed};
+use crate::actor_critic::batch::{Experience, Rule};
+use crate::actor_critic::groups::{Running, best};
 use crate::actor_critic::heads::{HeadBatch, HeadLearner};
 use crate::actor_critic::replay::{Future, Replay};
-use crate::actor_critic::running::Running;
-use crate::novelty::counts::Counts;
-use crate::novelty::intrinsic::Intrinsic;
-use crate::novelty::places::{CELLS, Columns};
+use crate::novelty::{CELLS, Columns, Counts, Intrinsic};
 
 /// Agents of several heads, and what they have seen.
 #[derive(Debug)]
@@ -196,7 +191,6 @@ impl MultiExplore {
     }
 }
 
-/// The policies of a head.
 fn actors<'a>(learner: &'a HeadLearner, head: usize, running: &'a Running) -> Actors<'a> {
     let HeadLearner { groups, policies, .. } = learner;
     let weights = &policies.parameters.values;
@@ -358,7 +352,7 @@ mod tests {
         let world = sortie_envs::open("gridworld/task1-2", Split::Train, 1, &Default::default());
         let world = world.unwrap();
         let opening = Opening { setup: &setup, environment: &*world, seed: 1, threads: 1 };
-        let mut method = MultiExplore::new(Config::of(&setup).unwrap(), &opening);
+        let mut method = MultiExplore::new(setup.own().unwrap(), &opening);
         let random = (0..3).map(|index| generator(1, Purpose::Rollout, index)).collect();
         let mut play = sortie_learn::play::Play::new(&*world, &mut method, random);
         let (mut reports, mut counts) = (Reports::default(), Default::default());

@@ -1,12 +1,20 @@
-//! Agents that act: greedy, or with chance.
+//! Agents that act: greedy, or with chance, and as they are deployed.
 
 use std::collections::BTreeMap;
 
+use sortie_core::choose::masked_argmax;
+use sortie_core::{DecideError, Decision, Policy};
 use sortie_envs::random::{chance, member};
 use sortie_envs::{ActionSet, EntitySet, Observation, Random};
+use sortie_learn::export::{
+    AttentionNetwork, DeployedAgents, DeployedNetworks, GruCell, Layer, Layout, Matrix,
+};
+use sortie_nn::layers::gru::lengths;
 
 use super::agent::AgentPass;
+use super::looking::views;
 use super::scenes::Scenes;
+use super::split_attention::HEADS;
 use super::temporal_difference::{Network, best};
 
 /// Buffers for the decisions of any number of teams at once, and what their agents remember.
@@ -102,5 +110,136 @@ impl Acting {
         for ((instance, _), memory) in self.instances.iter().zip(memories) {
             self.memories.insert(*instance, memory.to_vec());
         }
+    }
+}
+
+/// The agents of a network.
+pub(super) fn deployed(network: &Network) -> DeployedAgents<'_> {
+    let shape = network.shape.agent;
+    let [fc1, fc1_bias, attention_in, out, out_bias, skip, fc2, fc2_bias, unit, head, head_bias] =
+        shape.views(network.agent());
+    let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
+    let remembers = shape.memory > 0;
+    let memory = remembers.then(|| {
+        let [input, recurrent, input_bias, recurrent_bias] = views(unit, lengths(shape.memory));
+        GruCell {
+            input: Layer { weight: matrix(input), bias: input_bias },
+            recurrent: Layer { weight: matrix(recurrent), bias: recurrent_bias },
+        }
+    });
+    let layers = AttentionNetwork {
+        inputs: shape.input,
+        width: shape.width,
+        heads: HEADS,
+        base: shape.last(),
+        outputs: shape.actions,
+        fc1: Layer { weight: Matrix { values: fc1, layout: Layout::InputsFirst }, bias: fc1_bias },
+        attention_in: matrix(attention_in),
+        attention_out: Layer { weight: matrix(out), bias: out_bias },
+        skip: shape.skip.then(|| matrix(skip)),
+        fc2: remembers.then(|| Layer { weight: matrix(fc2), bias: fc2_bias }),
+        head: Layer { weight: matrix(head), bias: head_bias },
+    };
+    DeployedAgents {
+        networks: DeployedNetworks::Attention { network: layers, memory },
+        policy: Box::new(NetworkPolicy::new(network)),
+    }
+}
+
+/// Decides with the trainer's own forward pass: what golden observations expect of every engine.
+struct NetworkPolicy<'a> {
+    network: &'a Network,
+    pass: AgentPass,
+    scenes: Scenes,
+    seen: Observation,
+}
+
+impl<'a> NetworkPolicy<'a> {
+    fn new(network: &'a Network) -> Self {
+        Self {
+            network,
+            pass: AgentPass::default(),
+            scenes: Scenes::default(),
+            seen: Observation { available: vec![0], ..Observation::default() },
+        }
+    }
+
+    /// The agent becomes the first entity and the only agent, what it sees follows.
+    fn look(&mut self, observation: &sortie_core::Observation<'_>) -> Result<(), DecideError> {
+        let own = observation.self_index;
+        let columns = self.network.shape.agent.input;
+        let others = observation.visible.iter().filter(|entity| *entity != own);
+        self.seen.rows.clear();
+        let mut entities = 0;
+        for entity in std::iter::once(own).chain(others) {
+            let row = observation.rows.get(entity * observation.stride..);
+            let row = row.and_then(|row| row.get(..columns)).ok_or(DecideError::BadLength)?;
+            self.seen.rows.push_dense(row);
+            entities += 1;
+        }
+        let all = EntitySet::MAX >> (EntitySet::BITS as usize - entities);
+        (self.seen.present, self.seen.entities) = (all, all);
+        self.seen.observable.clear();
+        self.seen.observable.push(if observation.visible.contains(own) { all } else { all & !1 });
+        self.scenes.clear();
+        self.scenes.push(&self.seen, |_| EntitySet::MAX);
+        self.scenes.finish();
+        Ok(())
+    }
+}
+
+impl Policy for NetworkPolicy<'_> {
+    fn actions(&self) -> usize {
+        self.network.shape.agent.actions
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &sortie_core::Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.utilities_with(observation, &mut [], utilities)
+    }
+
+    fn decide(
+        &mut self,
+        observation: &sortie_core::Observation<'_>,
+    ) -> Result<Decision, DecideError> {
+        self.decide_with(observation, &mut [])
+    }
+
+    fn hidden(&self) -> usize {
+        self.network.shape.agent.memory
+    }
+
+    fn utilities_with(
+        &mut self,
+        observation: &sortie_core::Observation<'_>,
+        hidden: &mut [f32],
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let shape = self.network.shape.agent;
+        if hidden.len() != shape.memory {
+            return Err(DecideError::HiddenState { want: shape.memory, got: hidden.len() });
+        }
+        self.look(observation)?;
+        let memory = (shape.memory > 0).then_some(hidden);
+        let scenes = (&self.scenes, 1);
+        let computed = self.pass.forward_from(shape, self.network.agent(), scenes, memory);
+        if computed.len() != utilities.len() {
+            return Err(DecideError::BadLength);
+        }
+        utilities.copy_from_slice(computed);
+        Ok(())
+    }
+
+    fn decide_with(
+        &mut self,
+        observation: &sortie_core::Observation<'_>,
+        hidden: &mut [f32],
+    ) -> Result<Decision, DecideError> {
+        let mut utilities = vec![0.0; self.actions()];
+        self.utilities_with(observation, hidden, &mut utilities)?;
+        masked_argmax(&utilities, observation.available)
     }
 }

@@ -9,11 +9,10 @@ use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::matrix::Store;
 use sortie_nn::layers::relu;
 
-use super::buffers::sized;
-use super::looking::{Gradients, Looking, Weights};
+use super::looking::{Gradients, Looking, Tensor, Weights, place, views, views_mut};
 use super::memory::{self, MemoryPass};
 use super::scenes::Scenes;
-use super::tensors::{Tensor, place, views, views_mut};
+use crate::sized;
 
 /// Sizes of the agents' network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

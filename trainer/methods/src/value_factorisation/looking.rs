@@ -1,13 +1,14 @@
 //! Entities embedded and looked at: what agents and hypernetworks begin with.
 
-use sortie_nn::layers::linear::{self, LinearShape};
-use sortie_nn::layers::matrix::Store;
-use sortie_nn::layers::{SparseRows, relu, sparse_linear};
+use std::ops::Range;
 
-use super::buffers::sized;
-use super::row_scores;
-use super::split_attention::{self, Asking, Backward, ByRows, Forward, HEADS};
-use super::split_lists::SplitLists;
+use sortie_nn::layers::linear::{self, LinearShape};
+use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
+use sortie_nn::layers::{SparseRows, relu, sparse_linear};
+use sortie_nn::random::{Generator, signed_unit};
+
+use super::split_attention::{self, Asking, Backward, ByRows, Forward, HEADS, SplitLists};
+use crate::sized;
 
 /// What is looked at, and by whom.
 #[derive(Clone, Copy, Debug)]
@@ -118,7 +119,7 @@ impl Looking {
             let of_rows = sized(&mut self.row_queries, asking.len());
             linear::forward_without_bias(square(width), asking, to_queries, of_rows);
             if view.is_by_rows() {
-                row_scores::forward(width, of_rows, keys_values, asked);
+                forward(width, of_rows, keys_values, asked);
             } else {
                 gather(width, own, of_rows, asked);
             }
@@ -185,12 +186,7 @@ impl Looking {
             let of_rows = sized(&mut self.d_row_queries, asking);
             if view.is_by_rows() {
                 let queries = &self.row_queries[..asking];
-                row_scores::backward(
-                    width,
-                    (queries, keys_values),
-                    d_asked,
-                    (of_rows, d_keys_values),
-                );
+                backward(width, (queries, keys_values), d_asked, (of_rows, d_keys_values));
             } else {
                 of_rows.fill(0.0);
                 scatter(width, own, d_asked, of_rows);
@@ -231,5 +227,115 @@ fn scatter(width: usize, own: &[u32], values: &[f32], rows: &mut [f32]) {
     for (values, row) in values.chunks_exact(width).zip(own) {
         let row = &mut rows[*row as usize * width..][..width];
         row.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+    }
+}
+
+fn heads(width: usize) -> impl Iterator<Item = std::ops::Range<usize>> {
+    let head = width / HEADS;
+    (0..HEADS).map(move |index| index * head..(index + 1) * head)
+}
+
+fn scale(width: usize) -> f32 {
+    1.0 / ((width / HEADS) as f32).sqrt()
+}
+
+/// Writes the scores `[heads, rows, rows]` of queries `[rows, width]`, which are scaled by it, and of keys in
+/// `[rows, 2 * width]`, each with a value behind it.
+pub(super) fn forward(width: usize, queries: &mut [f32], keys_values: &[f32], scores: &mut [f32]) {
+    let rows = queries.len() / width;
+    let scale = scale(width);
+    queries.iter_mut().for_each(|query| *query *= scale);
+    let queries = Matrix::new(queries, rows, width);
+    let keys = Matrix::new(keys_values, rows, 2 * width);
+    for (head, scores) in heads(width).zip(scores.chunks_exact_mut((rows * rows).max(1))) {
+        multiply(
+            MatrixMut::new(scores, rows, rows),
+            Store::Replace,
+            queries.columns(head.clone()),
+            keys.columns(head).transposed(),
+        );
+    }
+}
+
+/// Writes the slopes by queries, before they were scaled, and by keys.
+pub(super) fn backward(
+    width: usize,
+    (queries, keys_values): (&[f32], &[f32]),
+    d_scores: &[f32],
+    (d_queries, d_keys_values): (&mut [f32], &mut [f32]),
+) {
+    let rows = queries.len() / width;
+    let queries = Matrix::new(queries, rows, width);
+    let keys = Matrix::new(keys_values, rows, 2 * width);
+    for (head, d_scores) in heads(width).zip(d_scores.chunks_exact((rows * rows).max(1))) {
+        let d_scores = Matrix::new(d_scores, rows, rows);
+        let out = MatrixMut::new(d_queries, rows, width).columns(head.clone());
+        multiply(out, Store::Replace, d_scores, keys.columns(head.clone()));
+        let out = MatrixMut::new(d_keys_values, rows, 2 * width).columns(head.clone());
+        multiply(out, Store::Replace, d_scores.transposed(), queries.columns(head));
+    }
+    let scale = scale(width);
+    d_queries.iter_mut().for_each(|slope| *slope *= scale);
+}
+
+/// One tensor and its place.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Tensor {
+    /// Its name in files.
+    pub name: String,
+    /// Inputs of its layer, by which its first weights are scaled.
+    pub inputs: usize,
+    /// Its place in the vector.
+    pub range: Range<usize>,
+}
+
+impl Tensor {
+    /// The same as checkpoints name it.
+    pub(super) fn saved(&self) -> sortie_learn::state::Tensor {
+        let Self { name, range, .. } = self;
+        sortie_learn::state::Tensor {
+            name: name.clone(),
+            shape: vec![range.len()],
+            range: range.clone(),
+        }
+    }
+}
+
+/// Places tensors `(name, inputs, numbers)` one behind the other.
+pub(super) fn place(start: usize, prefix: &str, tensors: &[(&str, usize, usize)]) -> Vec<Tensor> {
+    let mut end = start;
+    let next = |&(name, inputs, numbers): &(&str, usize, usize)| {
+        let range = end..end + numbers;
+        end = range.end;
+        Tensor { name: format!("{prefix}.{name}"), inputs, range }
+    };
+    tensors.iter().map(next).collect()
+}
+
+/// Cuts a vector into the tensors' parts.
+pub(super) fn views<const COUNT: usize>(
+    vector: &[f32],
+    numbers: [usize; COUNT],
+) -> [&[f32]; COUNT] {
+    let mut rest = vector;
+    numbers.map(|count| rest.split_off(..count).expect("one place per parameter"))
+}
+
+/// As [`views`], to be changed.
+pub(super) fn views_mut<const COUNT: usize>(
+    vector: &mut [f32],
+    numbers: [usize; COUNT],
+) -> [&mut [f32]; COUNT] {
+    let mut rest = vector;
+    numbers.map(|count| rest.split_off_mut(..count).expect("one place per parameter"))
+}
+
+/// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
+pub(super) fn initialise(tensors: &[Tensor], parameters: &mut [f32], generator: &mut Generator) {
+    for tensor in tensors {
+        let bound = 1.0 / (tensor.inputs as f32).sqrt();
+        parameters[tensor.range.clone()]
+            .iter_mut()
+            .for_each(|value| *value = bound * signed_unit(generator));
     }
 }

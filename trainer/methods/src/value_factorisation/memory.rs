@@ -5,7 +5,7 @@
 
 use sortie_nn::layers::gru::{GruPass, GruShape, lengths};
 
-use super::buffers::sized;
+use crate::sized;
 
 /// When a state was, in which of the episodes that go through time side by side.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

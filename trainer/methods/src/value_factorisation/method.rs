@@ -7,13 +7,11 @@ use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 
-use super::acting::Acting;
-use super::config::{Config, Unit};
-use super::deployed::deployed;
-use super::experience::Experience;
-use super::learner::{Learner, Update};
+use super::acting::{Acting, deployed};
+use super::learner::{Experience, Learner, Update};
+use super::looking::Tensor;
 use super::temporal_difference::Network;
-use super::tensors::Tensor;
+use super::{Config, Unit};
 
 /// Agents that learn from the team's reward, and what they have seen.
 #[derive(Debug)]
@@ -171,8 +169,8 @@ impl Acting {
 mod tests {
     use sortie_envs::{Split, Step};
 
-    use super::super::presets::VDN;
     use super::*;
+    use crate::value_factorisation::VDN;
 
     fn ring() -> Box<dyn Environment> {
         sortie_envs::open("group-matching/4x3x2", Split::Train, 1, &Default::default()).unwrap()

@@ -6,45 +6,305 @@
 
 mod acting;
 mod agent;
-mod buffers;
-mod chunk;
-mod config;
-mod deployed;
-mod episodes;
-mod experience;
-mod keys;
 mod learner;
 mod looking;
 mod memory;
 mod method;
 mod mixer;
-mod optimiser;
-mod partition;
-mod presets;
 mod replay;
-mod row_scores;
 mod scenes;
 mod split_attention;
-mod split_lists;
 mod temporal_difference;
-mod tensors;
+#[cfg(test)]
+mod tests;
+
+use sortie_envs::{Shape, Spec, View};
+use sortie_learn::configuration::Range::{self, OneOf, Truth, Whole};
+use sortie_learn::configuration::{
+    EXPLORATION, ExplorationConfig, OPTIMISER, OptimiserConfig, SHARE,
+};
+use sortie_learn::run::RunConfig;
+use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
+use sortie_learn::{LearnError, Method, sections, words};
+
+use split_attention::WIDTHS;
 
 pub use acting::Acting;
 pub use agent::{AgentPass, AgentShape};
-pub use config::{
-    Config, ImaginationConfig, MixerConfig, NetworkConfig, ReplayConfig, ReturnsConfig, Rule, Unit,
-    UpdateConfig,
-};
-pub use episodes::{Ahead, Episode, Episodes};
 pub use learner::{Learner, Update};
 pub use memory::Moment;
 pub use method::ValueFactorisation;
 pub use mixer::{Hypernetworks, MixerKind, MixerPass, MixerShape, Slopes, Teams};
-pub use partition::Partitions;
-pub use presets::{QMIX, REFIL, VDN};
-pub use replay::{End, Future, Place, Replay};
-pub use scenes::Scenes;
+pub use replay::{Ahead, End, Episode, Episodes, Future, Place, Replay};
+pub use scenes::{Partitions, Scenes};
 pub use temporal_difference::{Batch, Losses, Network, NetworkShape, TemporalDifference};
 
-#[cfg(test)]
-mod tests;
+const SIZE: i64 = 20_000_000;
+const COLUMNS: Range = Whole(0, 1024);
+
+sections! {
+    /// Sizes, chances and rates; the default is the preset `fast` of A-QMIX.
+    Config, KEYS;
+
+    /// The agents' network, and the hypernetwork of the mixer.
+    network: NetworkConfig {
+        /// Width of embedding and attention: 16, 32, 64 or 128.
+        width: usize = 32, Whole(16, 128), "columns";
+        /// Non-zero inputs that the first weights are sized for, as rows are mostly zeros; 0: all columns.
+        active_inputs: usize = 3, COLUMNS, "columns";
+        /// Whether an agent's own embedding reaches the layer before the head, past the attention.
+        skip: bool = true, Truth;
+        /// Width of what agents remember in a gated recurrent unit, which needs `replay.unit=episodes`; 0: nothing.
+        #[serde(default)]
+        memory: usize = 0, COLUMNS, "columns";
+    }
+
+    /// How the utilities of a team become its value.
+    mixer: MixerConfig {
+        /// Their sum (VDN), a weighted sum and a value of the state, or two layers with non-negative weights (QMIX).
+        kind: MixerKind = MixerKind::Linear, OneOf(MixerKind::WORDS);
+        /// Whether one network makes all numbers that are mixed with, or one each kind: weights, biases, value.
+        #[serde(default)]
+        hypernetworks: Hypernetworks = Hypernetworks::Shared, OneOf(Hypernetworks::WORDS);
+        /// Width between the layers of `qmix`.
+        mixing: usize = 32, Whole(1, 1024), "columns";
+    }
+
+    /// Utilities of agents that see only their part of a partition, or only the rest, mixed to the same value.
+    imagination: ImaginationConfig {
+        /// None, drawn anew for every use of a state (REFIL), who truly belongs together (fixed oracle), or both
+        /// (randomised oracle).
+        partitions: Partitions = Partitions::None, OneOf(Partitions::WORDS);
+        /// What imagined values count.
+        share: f32 = 0.5, SHARE, "share of the loss";
+    }
+
+    /// How rewards become targets.
+    returns: ReturnsConfig {
+        /// Steps before a target bootstraps.
+        steps: usize = 3, Whole(1, 1000), "steps";
+        /// Worth of a reward one step later.
+        discount: f32 = 0.9, SHARE, "factor per step";
+    }
+
+    /// What is kept, and how much of it an update sees.
+    replay: ReplayConfig {
+        /// What is kept and drawn: single states with what followed them, or whole episodes.
+        #[serde(default)]
+        unit: Unit = Unit::Steps, OneOf(Unit::WORDS);
+        /// Kept, of all instances.
+        capacity: usize = 200_000, Whole(1, SIZE), "units";
+        /// In an update.
+        batch: usize = 256, Whole(1, 65_536), "units";
+        /// Steps from one update to the next; 0: an update for each episode that ends.
+        steps_per_update: u64 = 16, Whole(0, SIZE), "environment steps";
+    }
+
+    /// How often agents take a random available action.
+    exploration: ExplorationConfig =
+        ExplorationConfig { steps: 5_000, ..ExplorationConfig::default() }, EXPLORATION;
+
+    /// How the weights follow the gradient.
+    optimiser: OptimiserConfig = OptimiserConfig {
+        learning_rate: 3e-3,
+        decay_from: 0.6,
+        average_rate: 0.001,
+        ..OptimiserConfig::default()
+    }, OPTIMISER;
+
+    /// What follows the gradient, and the weights.
+    #[serde(default)]
+    update: UpdateConfig {
+        /// How weights follow the gradient. RMSprop has a decay of 0.99 and adds 1e-5 to its denominator.
+        rule: Rule = Rule::Adam, OneOf(Rule::WORDS);
+        /// Updates from one move of the target network to the next.
+        target_every: u64 = 1, Whole(1, SIZE), "updates";
+    }
+}
+
+words! {
+    /// What is kept, and drawn for an update.
+    #[derive(Default)]
+    Unit {
+        /// States, each with what followed it.
+        #[default]
+        Steps = "steps",
+        /// Whole episodes.
+        Episodes = "episodes",
+    }
+}
+
+words! {
+    /// How weights follow the gradient.
+    Rule {
+        /// By its running mean, scaled by the root of its running square.
+        Adam = "adam",
+        /// By itself, scaled by the root of its running square.
+        RmsProp = "rmsprop",
+    }
+}
+
+impl Config {
+    /// The preset `paper` of A-QMIX: the dissertation's, as its chapter 5 learns Group Matching.
+    pub fn paper() -> Self {
+        Self {
+            network: NetworkConfig { width: 64, active_inputs: 0, skip: false, memory: 0 },
+            mixer: MixerConfig {
+                kind: MixerKind::Linear,
+                hypernetworks: Hypernetworks::Separate,
+                mixing: 32,
+            },
+            imagination: ImaginationConfig { partitions: Partitions::None, share: 0.5 },
+            returns: ReturnsConfig { steps: 1, discount: 0.99 },
+            replay: ReplayConfig {
+                unit: Unit::Episodes,
+                capacity: 2_000,
+                batch: 32,
+                steps_per_update: 0,
+            },
+            exploration: ExplorationConfig {
+                steps: 5_000,
+                spread: vec![1.0],
+                ..ExplorationConfig::default()
+            },
+            optimiser: OptimiserConfig {
+                learning_rate: 5e-4,
+                learning_rate_end: 5e-4,
+                decay_from: 1.0,
+                clip: 10.0,
+                target_rate: 1.0,
+                average_rate: 1.0,
+                ..OptimiserConfig::default()
+            },
+            update: UpdateConfig { rule: Rule::RmsProp, target_every: 200 },
+        }
+    }
+
+    /// The networks for an environment.
+    pub fn shape(&self, spec: &Spec) -> NetworkShape {
+        let NetworkConfig { width, active_inputs, skip, memory } = self.network;
+        let MixerConfig { kind, hypernetworks, mixing } = self.mixer;
+        let Shape { features: input, actions, .. } = spec.shape;
+        let active_inputs = if active_inputs == 0 { input } else { active_inputs };
+        NetworkShape {
+            agent: AgentShape { input, active_inputs, width, actions, skip, memory },
+            mixer: MixerShape { kind, hypernetworks, input, active_inputs, width, mixing },
+        }
+    }
+}
+
+/// A-QMIX: agents that look at entities, under a mixer that does.
+pub const QMIX: MethodEntry = MethodEntry {
+    name: "qmix",
+    about: "Utilities of agents that attend to entities, mixed by what a hypernetwork sees (A-QMIX, dissertation chapter 5)",
+    keys: |_| KEYS,
+    presets: &[
+        Preset { name: "fast", setup: || fast(plain) },
+        Preset { name: "paper", setup: || paper(plain) },
+    ],
+    flags: &[Flag { name: "--mixer", assignments: &["mixer.kind={}"] }],
+    in_proportion: &[],
+    suit: |_, _, _| {},
+    settle_older: |_| {},
+    misfit,
+    open,
+};
+
+/// VDN: the utilities are added.
+pub const VDN: MethodEntry = MethodEntry {
+    name: "vdn",
+    about: "The same agents, whose utilities are added (VDN)",
+    presets: &[
+        Preset { name: "fast", setup: || fast(add_up) },
+        Preset { name: "paper", setup: || paper(add_up) },
+    ],
+    ..QMIX
+};
+
+/// REFIL: A-QMIX that learns from imagined groups besides.
+pub const REFIL: MethodEntry = MethodEntry {
+    name: "refil",
+    about: "A-QMIX that learns besides from imagined groups, drawn at random (REFIL, dissertation chapter 5)",
+    presets: &[
+        Preset { name: "fast", setup: || fast(imagine) },
+        Preset { name: "paper", setup: || paper(imagine) },
+    ],
+    ..QMIX
+};
+
+fn plain(_: &mut Config) {}
+
+fn add_up(config: &mut Config) {
+    config.mixer.kind = MixerKind::Sum;
+}
+
+fn imagine(config: &mut Config) {
+    config.imagination.partitions = Partitions::Drawn;
+}
+
+fn fast(change: fn(&mut Config)) -> Setup {
+    let run = RunConfig { steps: 100_000, evaluate_every: 10_000, ..RunConfig::default() };
+    setup(16, run, Config::default(), change)
+}
+
+fn paper(change: fn(&mut Config)) -> Setup {
+    let run = RunConfig {
+        steps: 2_000_000,
+        evaluate_every: 10_000,
+        evaluate_episodes: 80,
+        ..RunConfig::default()
+    };
+    setup(8, run, Config::paper(), change)
+}
+
+fn setup(instances: usize, run: RunConfig, mut config: Config, change: fn(&mut Config)) -> Setup {
+    change(&mut config);
+    Setup::of(instances, run, &config)
+}
+
+fn misfit(spec: &Spec) -> Option<&'static str> {
+    (spec.view != View::Entities)
+        .then_some("its agents look at entities, of which this environment shows none")
+}
+
+fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
+    let config: Config = opening.setup.own()?;
+    let spec = opening.environment.spec();
+    let refused = |reason: String| {
+        Err(LearnError::Config(format!("`{}` in `{}`: {reason}", opening.setup.method, spec.name)))
+    };
+    if !WIDTHS.contains(&config.network.width) {
+        return refused(format!(
+            "`network.width` is {}, must be one of {WIDTHS:?}",
+            config.network.width
+        ));
+    }
+    let ReplayConfig { unit, capacity, batch, steps_per_update } = config.replay;
+    let kept = capacity / opening.setup.environment.instances;
+    match unit {
+        Unit::Steps if kept <= 4 * config.returns.steps => {
+            return refused(format!(
+                "`replay.capacity` leaves {kept} states for each instance, too few"
+            ));
+        }
+        Unit::Steps if steps_per_update == 0 => {
+            return refused(
+                "`replay.steps_per_update` is 0, an update for each episode, which `replay.unit=episodes` counts"
+                    .to_owned(),
+            );
+        }
+        Unit::Steps if config.network.memory > 0 => {
+            return refused(
+                "`network.memory` is learned through whole episodes, which `replay.unit=episodes` keeps"
+                    .to_owned(),
+            );
+        }
+        Unit::Episodes if capacity < batch => {
+            return refused(format!(
+                "`replay.capacity` is {capacity} episodes, an update draws {batch} different ones"
+            ));
+        }
+        _ => {}
+    }
+    Ok(Box::new(ValueFactorisation::new(config, opening)))
+}

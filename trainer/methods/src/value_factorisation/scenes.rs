@@ -2,11 +2,60 @@
 
 use std::collections::HashMap;
 
-use sortie_envs::{ActionSet, EntitySet, Observation, SparseRows, members};
+use sortie_envs::random::{chance, unit};
+use sortie_envs::{ActionSet, EntitySet, Observation, Random, SparseRows, members};
+use sortie_learn::words;
 
 use super::looking::View;
 use super::memory::{Moment, Timeline};
-use super::split_lists::SplitLists;
+use super::split_attention::SplitLists;
+
+words! {
+    /// Where the partitions of imagined utilities come from.
+    Partitions {
+        /// Nothing is imagined (A-QMIX, VDN).
+        None = "none",
+        /// Drawn for every use of a state (REFIL): `p` uniform, then each entity with probability `p`.
+        Drawn = "drawn",
+        /// Who truly belongs together, as the environment knows (fixed oracle).
+        Companions = "companions",
+        /// Who truly belongs together and shares the drawn part (randomised oracle).
+        DrawnCompanions = "drawn-companions",
+    }
+}
+
+impl Partitions {
+    /// Whether anything is imagined.
+    pub fn imagines(self) -> bool {
+        self != Self::None
+    }
+
+    /// Whether it is about who truly belongs together.
+    pub fn needs_companions(self) -> bool {
+        matches!(self, Self::Companions | Self::DrawnCompanions)
+    }
+
+    /// Draws one part of so many entities, as bits, where the partition is one that is drawn.
+    pub fn draw(self, entities: usize, random: &mut Random) -> EntitySet {
+        if matches!(self, Self::None | Self::Companions) {
+            return 0;
+        }
+        let probability = unit(random);
+        (0..entities)
+            .fold(0, |part, entity| part | EntitySet::from(chance(random, probability)) << entity)
+    }
+
+    /// The entities in the part of one agent, given the drawn part and the agent's companions.
+    pub fn within(self, part: EntitySet, companions: EntitySet, agent: usize) -> EntitySet {
+        let drawn = if part >> agent & 1 == 1 { part } else { !part };
+        match self {
+            Self::None => EntitySet::MAX,
+            Self::Drawn => drawn,
+            Self::Companions => companions,
+            Self::DrawnCompanions => drawn & companions,
+        }
+    }
+}
 
 /// States one behind the other. Query i belongs to row i: the rows of all agents that exist come first.
 ///
@@ -160,7 +209,6 @@ impl Scenes {
         }
     }
 
-    /// What each agent sees.
     pub(super) fn seen(&self) -> View<'_> {
         self.view(&self.seen)
     }
@@ -184,7 +232,6 @@ impl Scenes {
         }
     }
 
-    /// Whether there are no states.
     pub(super) fn is_empty(&self) -> bool {
         self.sizes.is_empty()
     }

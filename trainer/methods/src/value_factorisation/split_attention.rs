@@ -5,13 +5,12 @@
 //! number a head, the share of the mass that lies within, so that what the query gets from everything is
 //! `share * within + (1 - share) * across`: exact, and no pair is looked at twice.
 
+use std::ops::Range;
 use std::slice::SliceIndex;
 
 use sortie_core::internal::math::exp;
 use sortie_nn::layers::vectors::dots;
 use sortie_nn::layers::wide::{Work, run_widest};
-
-use super::split_lists::SplitLists;
 
 /// The queries' outputs, one behind the other: from everything and, with imagination, from within and
 /// from across.
@@ -390,5 +389,65 @@ impl<'a> Part<'a> {
                 d_score[head] = weights[head] * (d_score[head] - total[head]);
             }
         }
+    }
+}
+
+/// For each query the rows that it sees: those within its part of a partition, then those across.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct SplitLists {
+    /// Query i sees `rows[ends[i] .. ends[i + 1]]`; the first end is 0.
+    ends: Vec<u32>,
+    /// Where in `rows` the rows across begin, per query.
+    splits: Vec<u32>,
+    rows: Vec<u32>,
+}
+
+impl Default for SplitLists {
+    fn default() -> Self {
+        Self { ends: vec![0], splits: Vec::new(), rows: Vec::new() }
+    }
+}
+
+impl SplitLists {
+    pub(super) fn clear(&mut self) {
+        self.ends.truncate(1);
+        self.splits.clear();
+        self.rows.clear();
+    }
+
+    /// Adds the list of one query: rows within its part, and across. Without a partition all are within.
+    pub(super) fn push(
+        &mut self,
+        within: impl Iterator<Item = usize>,
+        across: impl Iterator<Item = usize>,
+    ) {
+        self.rows.extend(within.map(|row| row as u32));
+        self.splits.push(self.rows.len() as u32);
+        self.rows.extend(across.map(|row| row as u32));
+        self.ends.push(self.rows.len() as u32);
+    }
+
+    pub(super) fn queries(&self) -> usize {
+        self.splits.len()
+    }
+
+    #[inline(always)]
+    pub(super) fn rows(&self) -> &[u32] {
+        &self.rows
+    }
+
+    /// Total length of all lists.
+    pub(super) fn pairs(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// The pairs of every query, and how many of them lie within.
+    #[inline(always)]
+    fn spans(&self) -> impl Iterator<Item = (Range<usize>, usize)> {
+        let ends = self.ends.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
+        ends.zip(&self.splits).map(|(pairs, split)| {
+            let within = *split as usize - pairs.start;
+            (pairs, within)
+        })
     }
 }

@@ -8,11 +8,11 @@ use sortie_envs::{ActionSet, members};
 use sortie_nn::random::Generator;
 
 use super::agent::{AgentPass, AgentShape};
-use super::buffers::sized;
+use super::looking::{Tensor, initialise};
 use super::mixer::{MixerPass, MixerShape, Slopes, Teams};
 use super::scenes::Scenes;
 use super::split_attention::BLOCKS;
-use super::tensors::{Tensor, initialise};
+use crate::sized;
 
 /// Sizes of agents and mixer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

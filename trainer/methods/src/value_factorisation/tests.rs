@@ -2,7 +2,7 @@ use sortie_envs::{EntitySet, Observation};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::stream;
 
-use super::tensors::Tensor;
+use super::looking::Tensor;
 use super::*;
 
 const COLUMNS: usize = 9;

@@ -7,9 +7,28 @@ use sortie_nn::layers::absorbed_attention::{AbsorbedAttention, AbsorbedBackward}
 use sortie_nn::layers::attention::{self, AttentionShape, Backward};
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::matrix::Store;
-use sortie_nn::layers::{relu, sparse_linear};
+use sortie_nn::layers::{SparseRows, VisibleLists, relu, sparse_linear};
 
-use super::utility_input::{UtilityInput, sized};
+use crate::sized;
+
+/// What the network looks at: the entities of any number of independent samples.
+///
+/// Query i belongs to row i: the rows of all acting agents come first, then the other entities.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct UtilityInput {
+    /// Features `[rows, D]` of every entity, last actions included.
+    pub rows: SparseRows,
+    /// For each acting agent the rows that it sees, its own among them where it is visible.
+    pub visible: VisibleLists,
+}
+
+impl UtilityInput {
+    /// Forgets all samples, keeps the memory.
+    pub fn clear(&mut self) {
+        self.rows.clear();
+        self.visible.clear();
+    }
+}
 
 /// The weights, borrowed from a flat parameter vector.
 #[derive(Clone, Copy, Debug)]

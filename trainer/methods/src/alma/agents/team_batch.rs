@@ -3,13 +3,47 @@
 //! The subtask mask of ALMA lets an agent see its own team and its own subtask only (dissertation
 //! section 7.3). Without the mask an agent sees everything.
 
-use sortie_envs::random::member;
+use sortie_envs::random::{below, member};
 use sortie_envs::{ActionSet, Observation, Shape, SparseRows, UNASSIGNED, members};
+use sortie_learn::words;
 use sortie_nn::random::Generator;
 
-use super::conditioning::Conditioning;
+use super::entity_attention::UtilityInput;
 
-use super::utility_input::UtilityInput;
+words! {
+    /// How agents and mixer are conditioned on subtasks (dissertation section 7.3 and the comparisons of figure 7.4).
+    #[derive(Default)]
+    Conditioning {
+        /// An agent sees its own team and building only: ALMA.
+        #[default]
+        Mask = "mask",
+        /// An agent sees everything, each entity marked with its subtask: "no mask".
+        Input = "input",
+        /// There are no subtasks: everybody sees everything and earns the whole team's reward.
+        None = "none",
+    }
+}
+
+impl Conditioning {
+    /// As the configuration has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mask => "mask",
+            Self::Input => "input",
+            Self::None => "none",
+        }
+    }
+
+    /// Whether teams work on subtasks of their own.
+    pub fn has_subtasks(self) -> bool {
+        self != Self::None
+    }
+
+    /// Columns that mark an entity's subtask, where there are at most so many of them.
+    pub fn task_columns(self, tasks: usize) -> usize {
+        if self == Self::Input { tasks } else { 0 }
+    }
+}
 
 /// The last action of an agent that has not acted yet in its episode.
 pub const NO_ACTION: u8 = u8::MAX;
@@ -236,10 +270,38 @@ pub(crate) fn random_action(available: ActionSet, generator: &mut Generator) -> 
     member(generator, available.into()).map_or(0, |action| action as u8)
 }
 
+/// Which mark stands for which subtask: the column of subtask t at place t.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TaskOrder(pub(crate) Vec<u16>);
+
+impl TaskOrder {
+    /// Every subtask has the mark of its number: how agents are deployed.
+    pub fn identity(tasks: usize) -> Self {
+        Self((0..tasks as u16).collect())
+    }
+
+    /// An order in which column j stands for subtask `tasks[j]`.
+    pub fn of_columns(tasks: &[usize]) -> Self {
+        let mut columns = vec![0; tasks.len()];
+        (0..).zip(tasks).for_each(|(column, task)| columns[*task] = column);
+        Self(columns)
+    }
+
+    /// Draws an order of so many subtasks and spare marks.
+    pub fn shuffled(tasks: usize, generator: &mut Generator) -> Self {
+        let mut columns: Vec<u16> = (0..tasks as u16).collect();
+        for end in (1..tasks).rev() {
+            columns.swap(end, below(generator, end + 1));
+        }
+        Self(columns)
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::*;
     use sortie_envs::EntitySet;
+
+    use super::*;
 
     const FEATURES: usize = 3;
     const COLUMNS: Columns = Columns { features: FEATURES, actions: 5 };

@@ -7,8 +7,12 @@
 //! embedding. The published network has no `W_s`: it sees its own row through attention only.
 
 use std::ops::Range;
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use sortie_envs::Spec;
+use sortie_learn::run::checkpoint::Checkpoint;
+use sortie_learn::{LearnError, state};
 use sortie_nn::layers::attention::AttentionShape;
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::{Generator, signed_unit};
@@ -113,6 +117,8 @@ pub struct UtilityNetwork {
     parameters: Vec<f32>,
 }
 
+flat_network!(UtilityNetwork, UtilityShape);
+
 impl UtilityNetwork {
     /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
     ///
@@ -132,26 +138,6 @@ impl UtilityNetwork {
             }
         }
         Self { shape, parameters }
-    }
-
-    /// A network with these parameters, or `None` where their number does not fit the shape.
-    pub fn from_parameters(shape: UtilityShape, parameters: Vec<f32>) -> Option<Self> {
-        (parameters.len() == shape.parameters()).then_some(Self { shape, parameters })
-    }
-
-    /// The sizes.
-    pub fn shape(&self) -> UtilityShape {
-        self.shape
-    }
-
-    /// All parameters, in the order of [`UtilityShape::tensors`].
-    pub fn parameters(&self) -> &[f32] {
-        &self.parameters
-    }
-
-    /// All parameters, to be changed.
-    pub fn parameters_mut(&mut self) -> &mut [f32] {
-        &mut self.parameters
     }
 
     /// The tensors in PyTorch's layout, for export.
@@ -286,14 +272,55 @@ pub struct UtilityWeights {
 }
 
 /// The transpose of a row-major matrix.
-fn transpose(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+pub(crate) fn transpose(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     (0..columns).flat_map(|j| (0..rows).map(move |i| matrix[i * columns + j])).collect()
+}
+
+/// The tensors of a network of this shape, as checkpoints have them.
+pub(crate) fn tensors(shape: UtilityShape) -> Vec<state::Tensor> {
+    let tensor = |tensor: super::Tensor| state::Tensor {
+        name: tensor.name.to_owned(),
+        shape: vec![tensor.rows, tensor.columns],
+        range: tensor.range,
+    };
+    shape.tensors().into_iter().map(tensor).collect()
+}
+
+/// A network by its name and vector, as in `agents/online`.
+pub(crate) fn network_of(
+    checkpoint: &Checkpoint,
+    name: &str,
+    shape: UtilityShape,
+) -> Result<UtilityNetwork, LearnError> {
+    let parameters = checkpoint.vector(name, &tensors(shape))?;
+    let misfit = || checkpoint.bad(format!("`{name}` does not fit its shape"));
+    UtilityNetwork::from_parameters(shape, parameters).ok_or_else(misfit)
+}
+
+/// What another run has learned, whichever learner it had.
+#[derive(Clone, Debug)]
+pub struct Learned {
+    /// The agents' network; its averaged weights where the run averages.
+    pub network: UtilityNetwork,
+    /// The recurrent unit of the agents' memory; empty where they have none.
+    pub memory_unit: Vec<f32>,
+    /// What teams are worth at subtasks, if the run learned that.
+    pub team_values: Option<UtilityNetwork>,
+}
+
+/// Opens what the run in a folder has learned, in an environment like this one.
+pub type OpenLearned = fn(&Path, &Spec) -> Result<Learned, LearnError>;
+
+/// For methods that are not told how.
+pub(crate) fn open_nothing(folder: &Path, _: &Spec) -> Result<Learned, LearnError> {
+    Err(LearnError::Config(format!("nothing opens the run in {}", folder.display())))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use sortie_learn::random::{Purpose, generator};
+
+    use super::*;
 
     const SHAPE: UtilityShape =
         UtilityShape { input: 5, width: 4, heads: 2, base: 3, actions: 2, skip: false };

@@ -4,17 +4,100 @@
 //! vector for every agent, its strategy, which is added before the head of the agent's utility network
 //! until the next decision; before the first it is zero. Where a team is measured the mean is told.
 
-mod advice;
 pub mod gaussian;
-mod input;
 mod networks;
 mod passes;
-mod players;
-mod trunk;
 
-pub use advice::Advice;
-pub(crate) use advice::strategy_of;
-pub use input::seen_input;
+use sortie_envs::{Observation, members};
+use sortie_learn::LearnError;
+use sortie_nn::random::{Generator, normals};
+
+use super::agents::{TaskOrder, UtilityInput};
+
 pub use networks::{Coach, CoachShape, Recognition, RecognitionShape};
-pub use passes::{CoachPass, RecognitionPass};
-pub use players::PlayerPass;
+pub use passes::{CoachPass, PlayerPass, RecognitionPass};
+
+/// Tells the agents of a state their strategies.
+#[derive(Debug)]
+pub struct Advice<'a> {
+    coach: &'a Coach,
+    pass: CoachPass,
+    input: UtilityInput,
+}
+
+impl<'a> Advice<'a> {
+    /// By a coach.
+    pub fn new(coach: &'a Coach) -> Self {
+        Self { coach, pass: CoachPass::default(), input: UtilityInput::default() }
+    }
+
+    /// Writes the mean strategies `[agents, R]`, subtasks having the marks of their numbers: how a team is
+    /// measured.
+    ///
+    /// # Errors
+    /// The state has more subtasks than the coach knows.
+    pub fn mean(
+        &mut self,
+        seen: &Observation,
+        strategies: &mut Vec<f32>,
+    ) -> Result<(), LearnError> {
+        let Self { coach, pass, input } = self;
+        let (shape, tasks) = (coach.shape(), seen.tasks());
+        if tasks > shape.marks {
+            let known = shape.marks;
+            let reason = format!("the coach knows {known} subtasks, this state has {tasks}");
+            return Err(LearnError::Config(reason));
+        }
+        seen_input(shape, seen, &TaskOrder::identity(tasks), input);
+        let rows = pass.forward(coach, input).chunks_exact(2 * shape.strategy);
+        strategies.clear();
+        rows.for_each(|row| strategies.extend_from_slice(&row[..shape.strategy]));
+        Ok(())
+    }
+
+    /// Writes drawn strategies `[agents, R]`, subtasks having any marks: how a coach learns. The state has
+    /// as many subtasks at most as the coach knows.
+    pub fn draw(
+        &mut self,
+        seen: &Observation,
+        generator: &mut Generator,
+        strategies: &mut Vec<f32>,
+    ) {
+        let Self { coach, pass, input } = self;
+        let shape = coach.shape();
+        let order = TaskOrder::shuffled(shape.marks, generator);
+        seen_input(shape, seen, &order, input);
+        let rows = pass.forward(coach, input).chunks_exact(2 * shape.strategy);
+        let noise = normals(generator, seen.agents() * shape.strategy);
+        strategies.clear();
+        for (row, noise) in rows.zip(noise.chunks_exact(shape.strategy)) {
+            strategies.extend(gaussian::drawn(row, noise));
+        }
+    }
+}
+
+/// The strategy of an agent among those `[agents, R]` of its state, if they have been told any.
+pub(crate) fn strategy_of(strategies: &[f32], agent: usize, width: usize) -> Option<&[f32]> {
+    strategies.get(agent * width..(agent + 1) * width)
+}
+
+/// Writes a state that is played in, of which everything is seen, for its coach.
+pub fn seen_input(
+    shape: CoachShape,
+    seen: &Observation,
+    order: &TaskOrder,
+    input: &mut UtilityInput,
+) {
+    input.clear();
+    for entity in members(seen.present) {
+        input.rows.push_row(&seen.rows, seen.row_of(entity));
+        if let Some(mark) = order.0.get(usize::from(seen.task_of(entity))) {
+            input.rows.push(shape.features + usize::from(*mark), 1.0);
+        }
+        input.rows.end_row();
+    }
+    for _ in 0..seen.agents() {
+        (0..input.rows.len()).for_each(|row| input.visible.push(row));
+        input.visible.end_list();
+    }
+}

@@ -1,9 +1,14 @@
-//! The networks around strategies: the coach that draws them, and the recognition that guesses them.
+//! The networks around strategies: the coach that draws them, and the recognition that guesses them. Both begin with a
+//! trunk: entities embedded, agents that look at all of them.
 
-use sortie_nn::layers::linear::LinearShape;
+use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::layers::linear::{self, LinearShape};
+use sortie_nn::layers::matrix::Store;
+use sortie_nn::layers::relu;
 use sortie_nn::random::{Generator, signed_unit};
 
-use super::trunk::TrunkShape;
+use crate::alma::agents::{AttentionGradients, AttentionWeights, EntityAttention, UtilityInput};
+use crate::sized;
 
 /// Sizes of a coach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,6 +51,8 @@ pub struct Coach {
     parameters: Vec<f32>,
 }
 
+flat_network!(Coach, CoachShape);
+
 impl Coach {
     /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
     pub fn initialise(shape: CoachShape, generator: &mut Generator) -> Self {
@@ -53,26 +60,6 @@ impl Coach {
         draw_trunk(shape, 0, &mut parameters, generator);
         draw(&mut parameters, shape.parameters(), shape.width, generator);
         Self { shape, parameters }
-    }
-
-    /// A coach with these parameters, or `None` where their number does not fit the shape.
-    pub fn from_parameters(shape: CoachShape, parameters: Vec<f32>) -> Option<Self> {
-        (parameters.len() == shape.parameters()).then_some(Self { shape, parameters })
-    }
-
-    /// The sizes.
-    pub fn shape(&self) -> CoachShape {
-        self.shape
-    }
-
-    /// All parameters.
-    pub fn parameters(&self) -> &[f32] {
-        &self.parameters
-    }
-
-    /// All parameters, to be changed.
-    pub fn parameters_mut(&mut self) -> &mut [f32] {
-        &mut self.parameters
     }
 }
 
@@ -117,6 +104,8 @@ pub struct Recognition {
     parameters: Vec<f32>,
 }
 
+flat_network!(Recognition, RecognitionShape);
+
 impl Recognition {
     /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
     pub fn initialise(shape: RecognitionShape, generator: &mut Generator) -> Self {
@@ -124,26 +113,6 @@ impl Recognition {
         draw_trunk(shape.coach, shape.actions, &mut parameters, generator);
         draw(&mut parameters, shape.parameters(), shape.coach.width, generator);
         Self { shape, parameters }
-    }
-
-    /// A network with these parameters, or `None` where their number does not fit the shape.
-    pub fn from_parameters(shape: RecognitionShape, parameters: Vec<f32>) -> Option<Self> {
-        (parameters.len() == shape.parameters()).then_some(Self { shape, parameters })
-    }
-
-    /// The sizes.
-    pub fn shape(&self) -> RecognitionShape {
-        self.shape
-    }
-
-    /// All parameters.
-    pub fn parameters(&self) -> &[f32] {
-        &self.parameters
-    }
-
-    /// All parameters, to be changed.
-    pub fn parameters_mut(&mut self) -> &mut [f32] {
-        &mut self.parameters
     }
 }
 
@@ -174,4 +143,99 @@ fn draw(parameters: &mut Vec<f32>, end: usize, inputs: usize, generator: &mut Ge
     let bound = 1.0 / (inputs as f32).sqrt();
     let count = end - parameters.len();
     parameters.extend((0..count).map(|_| bound * signed_unit(generator)));
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct TrunkShape {
+    /// Input columns of one entity.
+    pub(super) input: usize,
+    /// Width E of embedding and attention.
+    pub(super) width: usize,
+    /// Attention heads, a divisor of the width.
+    pub(super) heads: usize,
+}
+
+impl TrunkShape {
+    /// Lengths of `fc1.weight [input, E]`, `fc1.bias`, queries, keys and values, `out.weight`, `out.bias`.
+    fn lengths(self) -> [usize; 6] {
+        let Self { input, width, .. } = self;
+        let square = width * width;
+        [input * width, width, square, 2 * square, square, width]
+    }
+
+    pub(super) fn parameters(self) -> usize {
+        self.lengths().iter().sum()
+    }
+
+    fn attention(self) -> AttentionShape {
+        AttentionShape { width: self.width, heads: self.heads }
+    }
+
+    fn square(self) -> LinearShape {
+        LinearShape { input: self.width, output: self.width }
+    }
+
+    fn view(self, parameters: &[f32]) -> (AttentionWeights<'_>, &[f32], &[f32]) {
+        let mut rest = parameters;
+        let [fc1, fc1_bias, queries, keys_values, out, out_bias] =
+            self.lengths().map(|length| rest.split_off(..length).expect("all tensors"));
+        (AttentionWeights { fc1, fc1_bias, queries, keys_values }, out, out_bias)
+    }
+
+    fn view_mut(self, vector: &mut [f32]) -> (AttentionGradients<'_>, &mut [f32], &mut [f32]) {
+        let mut rest = vector;
+        let [fc1, fc1_bias, queries, keys_values, out, out_bias] =
+            self.lengths().map(|length| rest.split_off_mut(..length).expect("all tensors"));
+        (AttentionGradients { fc1, fc1_bias, queries, keys_values }, out, out_bias)
+    }
+}
+
+/// Buffers of one worker: the activations of the last forward pass and space for a backward pass.
+#[derive(Clone, Debug, Default)]
+pub(super) struct TrunkPass {
+    attention: EntityAttention,
+    looked: Vec<f32>,
+    d_attended: Vec<f32>,
+}
+
+impl TrunkPass {
+    /// Computes what each agent makes of all it looks at, `[queries, E]`, rectified.
+    pub(super) fn forward(
+        &mut self,
+        shape: TrunkShape,
+        parameters: &[f32],
+        input: &UtilityInput,
+    ) -> &[f32] {
+        let (weights, out, out_bias) = shape.view(parameters);
+        let attended = self.attention.forward(shape.attention(), weights, input);
+        let looked = sized(&mut self.looked, attended.len());
+        linear::forward_rectified(shape.square(), attended, out, out_bias, looked);
+        looked
+    }
+
+    /// What the last forward pass computed for so many agents.
+    pub(super) fn looked(&self, shape: TrunkShape, queries: usize) -> &[f32] {
+        &self.looked[..queries * shape.width]
+    }
+
+    /// Adds the gradients of a loss whose slope by what the last forward pass computed is `d_looked`,
+    /// which is rectified in place.
+    pub(super) fn backward(
+        &mut self,
+        shape: TrunkShape,
+        parameters: &[f32],
+        input: &UtilityInput,
+        d_looked: &mut [f32],
+        gradient: &mut [f32],
+    ) {
+        let (weights, out, _) = shape.view(parameters);
+        let (gradients, d_out, d_out_bias) = shape.view_mut(gradient);
+        relu::backward(&self.looked[..d_looked.len()], d_looked);
+        let attended = self.attention.attended(d_looked.len());
+        linear::backward_weight(shape.square(), attended, d_looked, d_out);
+        linear::backward_bias(d_looked, d_out_bias);
+        let d_attended = sized(&mut self.d_attended, d_looked.len());
+        linear::backward_input(shape.square(), d_looked, out, Store::Replace, d_attended);
+        self.attention.backward(shape.attention(), weights, input, d_attended, None, gradients);
+    }
 }

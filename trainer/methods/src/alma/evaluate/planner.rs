@@ -10,13 +10,12 @@ use rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use sortie_envs::random::{chance, member};
 use sortie_envs::{Environment, Observation};
-use sortie_nn::random::Generator;
-
-use super::EvaluationPlan;
-use super::worlds::Worlds;
-use crate::alma::teams::{Allocate, Situation, Team};
 use sortie_learn::LearnError;
 use sortie_learn::random::{Purpose, generator};
+use sortie_nn::random::Generator;
+
+use super::{EvaluationPlan, Worlds};
+use crate::alma::teams::{Allocate, Situation, Team};
 
 /// Share of the agents that a candidate sends elsewhere.
 const MOVED: f64 = 0.3;

@@ -2,10 +2,10 @@
 
 use sortie_learn::export::attention::ExportError;
 use sortie_learn::export::{TeamValueExport, team_value_onnx};
-
-use super::bundle::layers;
-use crate::alma::agents::{UtilityNetwork, UtilityShape};
 use sortie_learn::random::{Purpose, generator};
+
+use super::layers;
+use crate::alma::agents::{UtilityNetwork, UtilityShape};
 
 const FEATURES: usize = 6;
 const RELATIONS: usize = 3;

@@ -25,7 +25,6 @@ pub(super) struct Decisions {
     stand_in: Allocation,
     points: DecisionPoints,
     tasks_changed: bool,
-    /// The subtask of every agent.
     pub(super) allocation: Vec<u8>,
     segment: Option<Segment>,
 }
@@ -85,7 +84,6 @@ impl Decisions {
     }
 }
 
-/// Makes the decisions of all episodes.
 #[derive(Debug)]
 pub(super) struct Deciding {
     allocation: AllocationConfig,

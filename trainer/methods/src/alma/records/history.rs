@@ -254,7 +254,6 @@ impl Rules {
     }
 }
 
-/// The members of a set of tasks.
 fn tasks(set: u32) -> impl Iterator<Item = usize> {
     members(set.into())
 }

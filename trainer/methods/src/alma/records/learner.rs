@@ -4,19 +4,24 @@
 //! gradient, and gradients are added in the order of the chunks: the result depends neither on the
 //! number of threads nor on their timing.
 
-use std::fmt::Debug;
+#[cfg(test)]
+mod tests;
+
+use std::fmt::{self, Debug};
+use std::ops::Deref;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use rand_core::Rng;
-use sortie_envs::Environment;
 use sortie_envs::random::below;
+use sortie_envs::{Environment, Split};
+use sortie_learn::run::UpdateReport;
 use sortie_nn::optimise::{Adam, clip_norm, move_towards};
 use sortie_nn::random::Generator;
 
 use super::config::{OptimiserConfig, ReplayConfig};
-use super::observer::Observer;
-use sortie_learn::run::UpdateReport;
+use super::mixer::Mixer;
+use crate::alma::agents::UtilityNetwork;
 
 /// A sample to learn from and how its map is turned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -267,5 +272,57 @@ impl<L: Loss> Learner<L> {
     }
 }
 
-#[cfg(test)]
-mod tests;
+/// A utility network with its mixer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MixedNetwork {
+    /// What agents act by, and all that is deployed.
+    pub utility: UtilityNetwork,
+    /// Makes a team's value of its agents' utilities.
+    pub mixer: Mixer,
+}
+
+impl Parameters for UtilityNetwork {
+    fn parts(&self) -> Vec<&[f32]> {
+        vec![self.parameters()]
+    }
+
+    fn parts_mut(&mut self) -> Vec<&mut [f32]> {
+        vec![self.parameters_mut()]
+    }
+}
+
+/// The utility network's parameters, then the mixer's.
+impl Parameters for MixedNetwork {
+    fn parts(&self) -> Vec<&[f32]> {
+        vec![self.utility.parameters(), self.mixer.parameters()]
+    }
+
+    fn parts_mut(&mut self) -> Vec<&mut [f32]> {
+        vec![self.utility.parameters_mut(), self.mixer.parameters_mut()]
+    }
+}
+
+/// An environment that nobody plays in, shared by all that look at states.
+#[derive(Clone)]
+pub struct Observer(Arc<dyn Environment>);
+
+impl Observer {
+    /// What observes the states of an environment.
+    pub fn of(environment: &dyn Environment) -> Self {
+        Self(Arc::from(environment.open(1, Split::Train)))
+    }
+}
+
+impl Deref for Observer {
+    type Target = dyn Environment;
+
+    fn deref(&self) -> &Self::Target {
+        &*self.0
+    }
+}
+
+impl fmt::Debug for Observer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Observer").field(&self.spec().name).finish()
+    }
+}

@@ -13,10 +13,8 @@ use sortie_nn::workers::Workers;
 
 use super::config::Config;
 use super::history::Returns;
-use super::learner::{Knowledge, Learner, Loss};
-use super::mixed_network::MixedNetwork;
+use super::learner::{Knowledge, Learner, Loss, MixedNetwork, Observer};
 use super::mixer::Mixer;
-use super::observer::Observer;
 use super::replay::Replay;
 use super::rollout::{Behaviour, Memory, Rollout};
 use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};

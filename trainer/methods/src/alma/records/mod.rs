@@ -8,21 +8,14 @@
 
 pub mod config;
 mod deciding;
-#[cfg(test)]
-mod fixed;
 mod history;
 mod learner;
 mod method;
-mod mixed_network;
 mod mixer;
-mod moments;
 #[cfg(test)]
 mod naive;
-mod observer;
 mod replay;
 mod rollout;
-mod side;
-mod team_columns;
 pub mod team_value;
 mod temporal_difference;
 #[cfg(test)]
@@ -31,12 +24,12 @@ mod toy;
 pub use config::Config;
 pub(crate) use deciding::STAND_INS;
 pub use history::{History, Reached, Returns, StepRewards};
-pub use learner::{Experience, Knowledge, Learner, Loss, Networks, Parameters, Pick, Samples};
+pub use learner::{
+    Experience, Knowledge, Learner, Loss, MixedNetwork, Networks, Observer, Parameters, Pick,
+    Samples,
+};
 pub use method::{Records, agents_learner, allocator_learner};
-pub use mixed_network::MixedNetwork;
 pub use mixer::{Mixer, MixerKind, MixerPass, MixerShape, MixerTensor, Teams};
-pub use moments::{Moment, Moments};
-pub use observer::Observer;
-pub use replay::{Record, Replay, Sample};
+pub use replay::{Moment, Moments, Record, Replay, Sample};
 pub use rollout::{Behaviour, Memory, Rollout};
 pub use temporal_difference::Chunk;

@@ -216,8 +216,8 @@ fn sizes(instances: &[Instance]) -> Vec<[usize; 2]> {
 mod tests {
     use super::*;
     use crate::alma::agents::UtilityShape;
-    use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play, usual};
     use crate::alma::records::team_value::Decision;
+    use crate::alma::records::toy::{Fixed, begin, fixed, observer, play, usual};
     use sortie_envs::Split;
 
     fn config(episode_limit: i64) -> Config {

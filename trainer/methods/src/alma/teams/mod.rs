@@ -4,20 +4,17 @@
 //! ([`PolicyTeam`]) or the scripted low level ([`ScriptedActors`]).
 
 mod allocated;
-mod allocation;
-mod allocators;
 mod greedy;
-mod players;
 
-pub use allocated::AllocatedTeam;
-pub use allocation::Allocation;
-pub use allocators::{DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state};
-pub use greedy::{NetworkTeam, PolicyTeam, ScriptedActors};
-pub use players::{Agents, Players};
-
-use sortie_envs::{Environment, Observation};
+use serde::{Deserialize, Serialize};
+use sortie_bundle::OwnedAllocationState;
+use sortie_core::{Allocator, EntityMask};
+use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED, members};
 use sortie_learn::LearnError;
 use sortie_nn::random::Generator;
+
+pub use allocated::AllocatedTeam;
+pub use greedy::{Agents, NetworkTeam, Players, PolicyTeam, ScriptedActors};
 
 /// One state in which a team is to act.
 #[derive(Clone, Copy)]
@@ -127,5 +124,127 @@ impl<A: Allocate + ?Sized> Allocate for &mut A {
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
         (**self).decide(situation, team, generator, allocation)
+    }
+}
+
+/// Who allocates in an episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Allocation {
+    /// The allocator of the run.
+    Learned,
+    /// The environment's rule that looks at the whole team.
+    Coordinated,
+    /// The reference's heuristic.
+    Heuristic,
+    /// Chance.
+    Random,
+}
+
+impl Allocation {
+    const ALL: [Self; 4] = [Self::Learned, Self::Coordinated, Self::Heuristic, Self::Random];
+
+    /// The allocator of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|allocation| allocation.name() == name)
+    }
+
+    /// Its name on the command line and in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Learned => "learned",
+            Self::Coordinated => "coordinated",
+            Self::Heuristic => "heuristic",
+            Self::Random => "random",
+        }
+    }
+
+    /// The environment's rule of this name.
+    pub fn allocator(self) -> RuleAllocator {
+        RuleAllocator(self.name())
+    }
+}
+
+/// One of the [rules](sortie_envs::Spec::rules) of an environment, by its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RuleAllocator(pub &'static str);
+
+impl Allocate for RuleAllocator {
+    fn allocate(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        let spec = environment.spec();
+        let known = spec.rules.iter().position(|rule| rule.name == self.0);
+        let unknown = || {
+            let names: Vec<&str> = spec.rules.iter().map(|rule| rule.name).collect();
+            let (name, names) = (spec.name, names.join("`, `"));
+            LearnError::Team(format!(
+                "`{name}` has no rule `{}` of allocation; it has `{names}`",
+                self.0
+            ))
+        };
+        environment.allocate(known.ok_or_else(unknown)?, state, generator, allocation);
+        Ok(())
+    }
+}
+
+/// Assigns nobody: what agents need that know of no subtasks.
+#[derive(Clone, Copy, Debug)]
+pub struct NoSubtasks;
+
+impl Allocate for NoSubtasks {
+    fn allocate(
+        &mut self,
+        _: &dyn Environment,
+        _: &[u8],
+        _: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        allocation.fill(UNASSIGNED);
+        Ok(())
+    }
+}
+
+/// A deployed allocator, on what it would see of a state.
+pub struct DeployedAllocator<'a>(pub Box<dyn Allocator + 'a>);
+
+impl Allocate for DeployedAllocator<'_> {
+    fn allocate(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        _: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        let mut state = allocation_state(environment, state);
+        // What a policy proposes depends on what was in force.
+        for (tasks, last) in state.entity_task.iter_mut().zip(&allocation[..state.agents]) {
+            *tasks = 1_u32.checked_shl((*last).into()).unwrap_or(0);
+        }
+        allocation.fill(UNASSIGNED);
+        let team = &mut allocation[..state.agents];
+        self.0.allocate(&state.view(), team).map_err(|error| LearnError::Team(error.to_string()))
+    }
+}
+
+/// All that an allocator sees of a state; agents come without their last allocation.
+pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAllocationState {
+    let features = environment.spec().shape.features;
+    let mut seen = Observation::default();
+    environment.observe(state, 0, EntitySet::MAX, &mut seen);
+    let mut rows = Vec::new();
+    seen.rows.write_all(features, &mut rows);
+    OwnedAllocationState {
+        agents: seen.agents(),
+        tasks: seen.tasks(),
+        rows,
+        features,
+        present: EntityMask::first(seen.rows.len()),
+        entity_task: members(seen.present).map(|entity| seen.entity_task[entity]).collect(),
+        open_tasks: seen.open_tasks,
     }
 }

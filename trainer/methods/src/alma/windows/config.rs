@@ -1,144 +1,198 @@
-//! Everything that decides how a run of the preset `paper` learns, in one readable file.
+//! Everything that decides how a run of the preset `paper` learns.
 
-use serde::{Deserialize, Serialize};
+use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Truth, Whole};
+use sortie_learn::configuration::{SHARE, STEPS, require};
+use sortie_learn::session::{EnvironmentChoice, Setup};
+use sortie_learn::{LearnError, section, sections, words};
 use sortie_nn::schedule::linear;
 
+use super::WindowShape;
 use super::allocation::{AllocationLearning, AllocationShape, RowRules};
-use super::batch::WindowShape;
-use super::exploration::Exploration;
-use super::low_level::LowLevelConfig;
-use super::low_level::coaching::CoachConfig;
 use crate::alma::agents::Conditioning;
-use crate::alma::records::{self};
+use crate::alma::records::config::{self as records, RETURNS, ReturnsConfig};
 use crate::alma::teams::Allocation;
-use sortie_learn::LearnError;
-use sortie_learn::configuration::require;
-use sortie_learn::session::{EnvironmentChoice, Setup};
 
-/// The configuration of a run. Its defaults are those of the dissertation and its public code.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Config {
-    /// What is learned from, which tells this file from others.
-    pub learner: Learner,
-    /// Where it learns.
-    #[serde(skip)]
-    pub environment: EnvironmentChoice,
+const HEADS: Range = Whole(1, 64);
+const SPARE: Range = Whole(0, 64);
+const WEIGHT: Range = Number(0.0, 1e6);
+const WIDTH: Range = Whole(1, 1024);
+
+sections! {
+    /// The configuration of a run. Its defaults are those of the dissertation and its public code.
+    #[serde(default)]
+    Config, KEYS;
+
+    above "What is learned from." {
+        /// Windows of whole episodes, which tells this file from those of the preset `fast`.
+        learner: Learner = Learner::Windows, OneOf(Learner::WORDS);
+    }
+
+    besides {
+        /// Where it learns.
+        environment: EnvironmentChoice
+    }
+
     /// The agents' utilities, their mixer, and how both learn.
-    pub low_level: LowLevelConfig,
+    low_level: LowLevelConfig {
+        /// What agents and mixer see of the subtasks.
+        conditioning: Conditioning = Conditioning::Mask, OneOf(Conditioning::WORDS);
+        /// Spare subtask marks, shuffled in with the others.
+        extra_tasks: usize = 0, SPARE, "subtasks";
+        /// Width of embedding and attention, a multiple of the heads.
+        width: usize = 128, WIDTH, "columns";
+        /// Attention heads.
+        heads: usize = 4, HEADS, "heads";
+        /// Width of the layer before the head.
+        base: usize = 64, WIDTH, "columns";
+        /// Inputs of an entity that are not zero, by which first weights are drawn; 0 counts them all, as PyTorch does.
+        active_inputs: f32 = 0.0, WEIGHT, "columns";
+        /// Whether the own row's embedding is added to what the attention gives, past it; not in the dissertation.
+        skip: bool = false, Truth;
+        // A gated recurrent unit before the head, which begins empty in every window.
+        /// Whether the agents have a memory, emptied when an episode ends.
+        recurrent: bool = false, Truth;
+        /// Width of the hypernetworks' embedding and attention, a multiple of their heads.
+        hypernetwork_width: usize = 128, WIDTH, "columns";
+        /// Heads of the hypernetworks' attention.
+        hypernetwork_heads: usize = 4, HEADS, "heads";
+        /// Width between the mixer's two layers.
+        mixing: usize = 32, WIDTH, "columns";
+        /// How mixing weights are kept from being negative.
+        nonnegative: Nonnegative = Nonnegative::Softmax, OneOf(Nonnegative::WORDS);
+        /// Whether mixing biases go through absolute values, as in the public code of ALMA.
+        bias_nonnegative: bool = false, Truth;
+        /// Whether each subtask has a PopArt head of its own, as in the public code.
+        popart_per_task: bool = false, Truth;
+        /// When the PopArt head is rescaled: before values are computed, or as the public code does.
+        popart_order: PopArtOrder = PopArtOrder::RescaleFirst, OneOf(PopArtOrder::WORDS);
+        /// Whether the agents stay as they are: only the allocator learns.
+        frozen: bool = false, Truth;
+        /// Whether actions that apply to a subtask are available to the agents allocated to it only.
+        task_availability: bool = false, Truth;
+        /// Learning rate of RMSprop, of both levels.
+        learning_rate: f32 = 5e-4, Number(0.0, 1000.0), "step of RMSprop";
+        /// Largest norm of the gradient; a longer one is shortened.
+        clip: f32 = 10.0, Positive(1e9), "norm";
+
+        within:
+        /// How rewards become targets.
+        returns: ReturnsConfig = ReturnsConfig { steps: 1, discount: 0.99, shaping: 0.0 }, RETURNS;
+    }
+
     /// Who tells agents without subtasks what to do: COPA.
-    pub coach: CoachConfig,
+    coach: CoachConfig {
+        /// Whether there is a coach.
+        enabled: bool = false, Truth;
+        /// Weight of the recognition's term of the loss; the coach's entropy weighs a tenth.
+        beta: f32 = 5e-5, WEIGHT, "weight";
+    }
+
     /// Who allocates, and how that is learned.
-    pub allocation: AllocationConfig,
-    /// How much is tried out.
-    pub exploration: ExplorationConfig,
-    /// What is kept, and how the weights follow the gradient.
-    pub learning: LearningConfig,
-}
+    allocation: AllocationConfig {
+        /// The learned allocator, or a rule.
+        by: String = "learned".to_owned(), OneOf(&["learned", "heuristic", "coordinated", "random"]);
+        /// Steps between decisions, unless the open tasks change; those of a coach too.
+        interval: u32 = 5, Whole(1, 100_000), "steps";
+        /// Allocations that are proposed for a decision.
+        proposals: usize = 32, Whole(1, 4096), "allocations";
+        /// Width of embedding and attention of proposal policy and critic, a multiple of their heads.
+        width: usize = 128, WIDTH, "columns";
+        /// Their attention heads.
+        heads: usize = 4, HEADS, "heads";
+        /// Spare subtasks, so that the networks serve worlds with more of them.
+        extra_tasks: usize = 0, SPARE, "subtasks";
+        /// Worth of a reward one decision later.
+        discount: f32 = 0.99, SHARE, "factor per decision";
+        /// Weight of the proposal policy's entropy.
+        entropy: f32 = 0.01, WEIGHT, "weight";
+        /// Age from which an episode teaches the allocator nothing.
+        oldest: u64 = 150_000, Whole(1, STEPS), "environment steps";
+        /// Decisions in an update, at most.
+        rows: usize = 400, Whole(2, 100_000), "decisions";
+    }
 
-/// What this preset learns from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Learner {
-    /// Windows of whole episodes.
-    #[default]
-    Windows,
-}
+    /// How much is tried out; all three are 0 where a run is measured.
+    exploration: ExplorationConfig {
+        within:
+        /// How often an agent takes a random available action.
+        actions: Schedule = Schedule { start: 1.0, end: 0.05, steps: 2_000_000 }, SCHEDULE;
+        /// How often a decision takes the first proposal instead of the critic's best.
+        proposal: Schedule = Schedule { start: 1.0, end: 0.05, steps: 3_000_000 }, SCHEDULE;
+        /// How often an agent is given a random open subtask at a decision.
+        allocation: Schedule = Schedule { start: 1.0, end: 0.0, steps: 750_000 }, SCHEDULE;
+    }
 
-impl Default for Config {
-    fn default() -> Self {
-        Self {
-            learner: Learner::Windows,
-            environment: EnvironmentChoice::default(),
-            low_level: LowLevelConfig::default(),
-            coach: CoachConfig::default(),
-            allocation: AllocationConfig::default(),
-            exploration: ExplorationConfig::default(),
-            learning: LearningConfig::default(),
-        }
+    /// What is kept, and how often is learned from it.
+    learning: LearningConfig {
+        /// Episodes kept.
+        episodes: usize = 5_000, Whole(1, 1_000_000), "episodes";
+        /// Episodes drawn and windows cut for an update.
+        windows: usize = 32, Whole(1, 4096), "windows";
+        /// States of a window.
+        steps: usize = 64, Whole(2, 10_000), "states";
+        /// Updates for every episode.
+        updates: usize = 1, Whole(0, 10_000), "updates";
+        /// When the target of the agents and their mixer is renewed.
+        copy_agents_every: u64 = 200, Whole(1, STEPS), "episodes";
+        /// When the target of the critic is renewed.
+        copy_critic_every: u64 = 50, Whole(1, STEPS), "episodes";
     }
 }
 
-/// Who allocates, and how that is learned.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct AllocationConfig {
-    /// `learned`, or the rule `heuristic`, `coordinated` or `random`.
-    pub by: String,
-    /// Steps between decisions, unless the open tasks change; those of a coach too.
-    pub interval: u32,
-    /// Allocations that are proposed for a decision.
-    pub proposals: usize,
-    /// Width of embedding and attention of proposal policy and critic.
-    pub width: usize,
-    /// Their attention heads.
-    pub heads: usize,
-    /// Spare subtasks, so that the networks serve worlds with more of them than they learned in.
-    pub extra_tasks: usize,
-    /// Discount of the critic, once per decision.
-    pub discount: f32,
-    /// Weight of the proposal policy's entropy.
-    pub entropy: f32,
-    /// Age in environment steps from which an episode teaches the allocator nothing.
-    pub oldest: u64,
-    /// Decisions in an update, at most.
-    pub rows: usize,
-}
+section! {
+    /// A probability that falls in a straight line.
+    Schedule, SCHEDULE;
 
-impl Default for AllocationConfig {
-    fn default() -> Self {
-        Self {
-            by: "learned".to_owned(),
-            interval: 5,
-            proposals: 32,
-            width: 128,
-            heads: 4,
-            extra_tasks: 0,
-            discount: 0.99,
-            entropy: 0.01,
-            oldest: 150_000,
-            rows: 400,
-        }
-    }
-}
-
-/// A number that falls in a straight line over so many environment steps.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Schedule {
     /// Before the first step.
-    pub start: f32,
+    start: f32 = 0.0, SHARE, "probability";
     /// From step `steps` on.
-    pub end: f32,
-    /// Environment steps of the way.
-    pub steps: u64,
+    end: f32 = 0.0, SHARE, "probability";
+    /// Length of the way.
+    steps: u64 = 0, Whole(0, STEPS), "environment steps";
+}
+
+words! {
+    /// What this preset learns from.
+    Learner {
+        /// Windows of whole episodes.
+        Windows = "windows",
+    }
+}
+
+words! {
+    /// When the PopArt head is rescaled to new statistics.
+    PopArtOrder {
+        /// Before values are computed, so that they and the targets are in the same units.
+        RescaleFirst = "rescale-first",
+        /// Between the forward and the backward pass, as the public code does.
+        Reference = "reference",
+    }
+}
+
+words! {
+    /// How mixing weights are kept from being negative.
+    Nonnegative {
+        /// A softmax over the mixing width.
+        Softmax = "softmax",
+        /// Absolute values.
+        Absolute = "absolute",
+    }
+}
+
+/// How much is tried out in a round.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Exploration {
+    /// How often an agent takes a random available action.
+    pub actions: f32,
+    /// How often a decision takes the first proposal instead of the critic's best.
+    pub proposal: f32,
+    /// How often an agent is given a random open subtask at a decision.
+    pub allocation: f32,
 }
 
 impl Schedule {
-    fn at(self, step: u64) -> f32 {
+    fn at(&self, step: u64) -> f32 {
         linear(self.start, self.end, self.steps, step)
-    }
-}
-
-/// How much is tried out; all three are 0 where a run is measured.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ExplorationConfig {
-    /// How often an agent takes a random available action.
-    pub actions: Schedule,
-    /// How often a decision takes the first proposal instead of the critic's best.
-    pub proposal: Schedule,
-    /// How often an agent is given a random open subtask at a decision.
-    pub allocation: Schedule,
-}
-
-impl Default for ExplorationConfig {
-    fn default() -> Self {
-        Self {
-            actions: Schedule { start: 1.0, end: 0.05, steps: 2_000_000 },
-            proposal: Schedule { start: 1.0, end: 0.05, steps: 3_000_000 },
-            allocation: Schedule { start: 1.0, end: 0.0, steps: 750_000 },
-        }
     }
 }
 
@@ -149,37 +203,6 @@ impl ExplorationConfig {
             actions: self.actions.at(step),
             proposal: self.proposal.at(step),
             allocation: self.allocation.at(step),
-        }
-    }
-}
-
-/// What is kept, and how the weights follow the gradient.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LearningConfig {
-    /// Episodes kept.
-    pub episodes: usize,
-    /// Episodes drawn and windows cut for an update.
-    pub windows: usize,
-    /// States of a window.
-    pub steps: usize,
-    /// Updates for every episode.
-    pub updates: usize,
-    /// Episodes after which the target of the agents and their mixer is renewed.
-    pub copy_agents_every: u64,
-    /// Episodes after which the target of the critic is renewed.
-    pub copy_critic_every: u64,
-}
-
-impl Default for LearningConfig {
-    fn default() -> Self {
-        Self {
-            episodes: 5_000,
-            windows: 32,
-            steps: 64,
-            updates: 1,
-            copy_agents_every: 200,
-            copy_critic_every: 50,
         }
     }
 }
@@ -202,8 +225,8 @@ impl Config {
                 ..LowLevelConfig::default()
             },
             exploration: ExplorationConfig {
-                actions: schedule,
-                proposal: schedule,
+                actions: schedule.clone(),
+                proposal: schedule.clone(),
                 allocation: schedule,
             },
             learning: LearningConfig {
@@ -279,7 +302,6 @@ impl Config {
         self.coach.enabled = true;
     }
 
-    /// Refuses values that do not go together.
     fn check(&self) -> Result<(), LearnError> {
         let Self { low_level, allocation, learning, .. } = self;
         require(

@@ -3,13 +3,13 @@
 use rand_core::Rng;
 use sortie_envs::random::{chance, member};
 use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED};
+use sortie_learn::LearnError;
 use sortie_nn::random::Generator;
 
+use super::NO_TASK;
 use super::allocation::{AllocationNetworks, Decided, Decider, Noise, States, TaskColumns};
-use super::batch::NO_TASK;
-use super::exploration::Exploration;
+use super::config::Exploration;
 use crate::alma::teams::Allocate;
-use sortie_learn::LearnError;
 
 /// Proposes allocations and takes the one that the critic values most.
 #[derive(Debug)]

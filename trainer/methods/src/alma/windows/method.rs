@@ -9,15 +9,14 @@ use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 
+use super::WindowShape;
 use super::allocation::{AllocationLevel, AllocationState};
-use super::batch::WindowShape;
 use super::config::Config;
 use super::deciding::ProposalAllocator;
 use super::low_level::LowLevel;
 use super::low_level::coaching::Coaching;
-use super::replay::Replay;
 use super::rollout::{Behaviour, Rollout};
-use super::sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
+use super::sampling::{Replay, SampleShape, Shaping, cut_windows, draw_episodes};
 use crate::alma::agents::{OpenLearned, UtilityNetwork, open_nothing, tensors};
 use crate::alma::records::config::ReturnsConfig;
 use crate::alma::teams::{Allocate, AllocatedTeam, Allocation, NetworkTeam, NoSubtasks};
@@ -61,7 +60,7 @@ impl WindowLearner {
         let mut weights = generator(seed, Purpose::Weights, 0);
         let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
         if config.coach.enabled {
-            low_level.add_coach(config.coach, &mut weights);
+            low_level.add_coach(config.coach.clone(), &mut weights);
         }
         let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
         Self {

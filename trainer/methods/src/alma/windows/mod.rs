@@ -6,25 +6,191 @@
 //! than the public code is an exact rewrite of it.
 
 pub mod allocation;
-mod batch;
 pub mod config;
 mod deciding;
-mod exploration;
 pub mod low_level;
 mod method;
 mod popart;
-mod replay;
 mod rollout;
 mod sampling;
-mod times;
 
-pub use batch::{NO_ACTION, NO_TASK, WindowShape, Windows};
-pub use config::Config;
+use std::time::Duration;
+
+use rustix::time::{ClockId, clock_gettime};
+use sortie_envs::Shape;
+use sortie_nn::layers::SparseRows;
+
+pub use config::{Config, Exploration};
 pub use deciding::{ExploringAllocator, ProposalAllocator};
-pub use exploration::Exploration;
 pub use method::WindowLearner;
 pub use popart::{PopArt, Rescale};
-pub use replay::{Episode, Moment, Replay};
 pub use rollout::{Behaviour, Rollout};
-pub use sampling::{SampleShape, Shaping, cut_windows, draw_episodes};
-pub use times::{AllocationTimes, LowLevelTimes};
+pub use sampling::{Episode, Moment, Replay, SampleShape, Shaping, cut_windows, draw_episodes};
+
+/// The subtask of an entity that belongs to none.
+pub const NO_TASK: u8 = u8::MAX;
+/// The last action at the first step of an episode.
+pub const NO_ACTION: u8 = u8::MAX;
+
+/// Sizes of a batch of windows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WindowShape {
+    /// Windows W.
+    pub windows: usize,
+    /// Steps S of a window; each but the last may have a transition to the next.
+    pub steps: usize,
+    /// Agents A.
+    pub agents: usize,
+    /// Entities N, of which the agents are the first.
+    pub entities: usize,
+    /// Subtasks T.
+    pub tasks: usize,
+    /// Actions U.
+    pub actions: usize,
+    /// Features d of an entity, without its last action.
+    pub features: usize,
+}
+
+impl WindowShape {
+    /// Sizes of an environment, as a batch of no windows.
+    pub fn of(shape: Shape) -> Self {
+        let Shape { agents, entities, tasks, actions, features } = shape;
+        Self { windows: 0, steps: 0, agents, entities, tasks, actions, features }
+    }
+
+    /// States of all windows, W S.
+    pub fn states(&self) -> usize {
+        self.windows * self.steps
+    }
+}
+
+/// A batch of windows. State `i` is step `i % S` of window `i / S`.
+///
+/// Windows may reach over the ends of episodes. Every array is row-major, with all states in front.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Windows {
+    /// The sizes.
+    pub shape: WindowShape,
+    /// Features of all entities, W S N rows; those of absent entities are empty.
+    pub features: SparseRows,
+    /// `[W S, N]`: the entities that exist.
+    pub present: Vec<bool>,
+    /// `[W S, A, N]`: the entities that each agent can observe.
+    pub observable: Vec<bool>,
+    /// `[W S, N]`: the subtask of every entity, the first of several, or [`NO_TASK`]; of agents, the allocation in
+    /// force.
+    pub entity_task: Vec<u8>,
+    /// `[W S, T]`: the subtasks that exist and are not finished.
+    pub open: Vec<bool>,
+    /// `[W S, A, U]`: 0 is not available, 1 is available, 2 + t is available and applies to subtask t.
+    pub available: Vec<u16>,
+    /// `[W S, A]`: what the agents did.
+    pub actions: Vec<u8>,
+    /// `[W S, A]`: what they had done in the step before, or [`NO_ACTION`].
+    pub last_actions: Vec<u8>,
+    /// `[W S, A]`: the allocation that was in force before this step, or [`NO_TASK`].
+    pub last_allocation: Vec<u8>,
+    /// `[W S]`: whether agents were allocated anew in this step.
+    pub decision: Vec<bool>,
+    /// `[W S]`: the reward of the whole team.
+    pub reward: Vec<f32>,
+    /// `[W S, T]`: the reward of every subtask.
+    pub task_reward: Vec<f32>,
+    /// `[W S]`: the step ended the episode truly: what comes next is worth nothing.
+    pub terminated: Vec<bool>,
+    /// `[W S]`: the step ended the episode, truly or by its time limit.
+    pub reset: Vec<bool>,
+    /// `[W S, T]`: the subtask was finished in this step or before.
+    pub task_terminated: Vec<bool>,
+    /// `[W S]`: the state was followed by a step of the same episode, which can be learned from.
+    pub has_transition: Vec<bool>,
+    /// `[W S, T]`: the subtask was unfinished before this step, so that it can be learned from.
+    pub task_unfinished: Vec<bool>,
+    /// `[W S]`: environment steps of the run when the state's episode began.
+    pub added: Vec<u64>,
+}
+
+impl Windows {
+    /// An empty batch of a shape: nobody is present, nothing is learned from.
+    pub fn new(shape: WindowShape) -> Self {
+        let states = shape.states();
+        let (agents, entities) = (states * shape.agents, states * shape.entities);
+        let tasks = states * shape.tasks;
+        let mut features = SparseRows::default();
+        (0..entities).for_each(|_| features.end_row());
+        Self {
+            shape,
+            features,
+            present: vec![false; entities],
+            observable: vec![false; agents * shape.entities],
+            entity_task: vec![NO_TASK; entities],
+            open: vec![false; tasks],
+            available: vec![0; agents * shape.actions],
+            actions: vec![0; agents],
+            last_actions: vec![NO_ACTION; agents],
+            last_allocation: vec![NO_TASK; agents],
+            decision: vec![false; states],
+            reward: vec![0.0; states],
+            task_reward: vec![0.0; tasks],
+            terminated: vec![false; states],
+            reset: vec![false; states],
+            task_terminated: vec![false; tasks],
+            has_transition: vec![false; states],
+            task_unfinished: vec![false; tasks],
+            added: vec![0; states],
+        }
+    }
+
+    /// The allocation `[A]` in force at a state.
+    pub fn allocation(&self, state: usize) -> &[u8] {
+        let WindowShape { agents, entities, .. } = self.shape;
+        &self.entity_task[state * entities..][..agents]
+    }
+}
+
+/// Processor time of all threads together, of all steps of a level up to now.
+///
+/// It stands beside the reports, which are the same for every number of threads.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LowLevelTimes {
+    /// What comes next and its value: the targets.
+    pub targets: Duration,
+    /// Values and their gradients.
+    pub descent: Duration,
+    /// Statistics, adding up the lanes, clipping and the optimiser.
+    pub optimiser: Duration,
+}
+
+/// As [`LowLevelTimes`], of the allocation level.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct AllocationTimes {
+    /// Proposing allocations.
+    pub proposals: Duration,
+    /// Valuing proposals, targets, and the critic's own values with their gradients.
+    pub critic: Duration,
+    /// The gradient of the proposal policy.
+    pub policy: Duration,
+    /// Statistics, adding up the lanes, clipping and the optimisers.
+    pub optimiser: Duration,
+}
+
+/// Measures the calling thread's work from lap to lap: other work on the processor does not count.
+#[derive(Debug)]
+struct Stopwatch(Duration);
+
+impl Stopwatch {
+    fn start() -> Self {
+        Self(thread_time())
+    }
+
+    /// Ends a lap, which the next one follows.
+    fn lap(&mut self) -> Duration {
+        let before = std::mem::replace(&mut self.0, thread_time());
+        self.0.saturating_sub(before)
+    }
+}
+
+fn thread_time() -> Duration {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
+}

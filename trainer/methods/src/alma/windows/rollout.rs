@@ -6,8 +6,8 @@ use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
 
 use super::config::Config;
-use super::exploration::Exploration;
-use super::replay::{Episode, Moment};
+use super::config::Exploration;
+use super::sampling::{Episode, Moment};
 use crate::alma::agents::{NO_ACTION, UtilityShape, best_action, random_action};
 use crate::alma::coach::Advice;
 use crate::alma::teams::{Agents, Allocate, Players, Scene};

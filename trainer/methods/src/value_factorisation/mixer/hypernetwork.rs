@@ -3,22 +3,19 @@
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::matrix::Store;
 
-use super::super::buffers::sized;
-use super::super::looking::{Gradients, Looking, View, Weights};
-use super::super::tensors::{Tensor, place, views, views_mut};
+use crate::sized;
+use crate::value_factorisation::looking::{
+    Gradients, Looking, Tensor, View, Weights, place, views, views_mut,
+};
 
-/// Sizes of a hypernetwork.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct HypernetworkShape {
     /// What its numbers are for; empty where it is the only one.
     pub(super) name: &'static str,
-    /// Columns of an entity's row.
     pub(super) input: usize,
     /// Columns that are usually not zero.
     pub(super) active_inputs: usize,
-    /// Width of embedding and attention.
     pub(super) width: usize,
-    /// Numbers for each agent.
     pub(super) outputs: usize,
     /// Whether imagined agents have numbers of their own.
     pub(super) imagines: bool,
@@ -44,7 +41,6 @@ impl HypernetworkShape {
         place(start, &format!("mixer{prefix}{}", self.name), &all)
     }
 
-    /// Number of parameters.
     pub(super) fn parameters(self) -> usize {
         self.numbers().into_iter().sum()
     }

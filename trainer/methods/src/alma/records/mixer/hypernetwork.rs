@@ -11,11 +11,9 @@ use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::matrix::Store;
 
 use super::MixerTensor;
-use crate::alma::agents::{
-    AttentionGradients, AttentionWeights, EntityAttention, UtilityInput, sized,
-};
+use crate::alma::agents::{AttentionGradients, AttentionWeights, EntityAttention, UtilityInput};
+use crate::sized;
 
-/// Sizes of a hypernetwork.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct HypernetworkShape {
     /// Input columns D of one entity, as of the utility network.

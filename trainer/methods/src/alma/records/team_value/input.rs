@@ -1,9 +1,50 @@
 //! Teams at subtasks, written as input of the team-value network.
 
-use sortie_envs::{EntitySet, Environment, Observation, SparseRows, members};
+use sortie_envs::{EntitySet, Environment, Observation, SparseRows, Spec, members};
 
-use crate::alma::agents::UtilityInput;
-use crate::alma::records::team_columns::TeamColumns;
+use crate::alma::agents::{UtilityInput, UtilityShape};
+use crate::alma::records::config::AllocatorConfig;
+
+/// What the columns of a row are: an entity's features, its part in the question, its relation to the subtask.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TeamColumns {
+    features: usize,
+    relations: usize,
+}
+
+impl TeamColumns {
+    /// Those of an environment.
+    pub fn of(spec: &Spec) -> Self {
+        Self { features: spec.shape.features, relations: spec.relations }
+    }
+
+    /// Their number.
+    pub fn count(self) -> usize {
+        self.relation() + self.relations
+    }
+
+    /// Marks the subtask's thing that the value is about.
+    pub(in crate::alma::records) fn own(self) -> usize {
+        self.features
+    }
+
+    /// Marks the agents of the team.
+    fn in_team(self) -> usize {
+        self.features + 1
+    }
+
+    /// First of the columns that say how an entity stands to the subtask.
+    pub(in crate::alma::records) fn relation(self) -> usize {
+        self.features + 2
+    }
+}
+
+impl AllocatorConfig {
+    /// The network's shape in an environment: one output, the value.
+    pub fn shape(&self, spec: &Spec) -> UtilityShape {
+        self.network.shape(TeamColumns::of(spec).count(), 1)
+    }
+}
 
 /// A team at a subtask.
 #[derive(Clone, Copy, Debug)]
@@ -168,12 +209,12 @@ impl TeamValueInput {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::alma::agents::{UtilityNetwork, UtilityPass};
-    use crate::alma::records::config::AllocatorConfig;
-    use crate::alma::records::toy::{Street, toy};
     use sortie_learn::random::{Purpose, generator};
     use sortie_nn::gradient_check::assert_gradient;
+
+    use super::*;
+    use crate::alma::agents::{UtilityNetwork, UtilityPass};
+    use crate::alma::records::toy::{Street, toy};
 
     /// Streets with three agents somewhere and three sites, the second of which is finished.
     fn streets() -> Vec<Vec<u8>> {

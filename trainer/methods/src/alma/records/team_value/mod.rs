@@ -12,11 +12,188 @@
 
 mod input;
 mod loss;
-mod search;
-mod segments;
 
-pub use super::team_columns::TeamColumns;
-pub use input::{TeamQuery, TeamValueInput};
-pub use loss::TeamValueLoss;
-pub use search::{TeamSearch, TeamValueAllocator};
-pub use segments::{Decision, Segment, Segments};
+use sortie_core::allocate::{EXACT_AGENTS, TeamValue, Teams, ascent, exact};
+use sortie_envs::{Environment, Observation, UNASSIGNED};
+use sortie_learn::LearnError;
+use sortie_nn::random::Generator;
+
+use crate::alma::agents::{UtilityNetwork, UtilityPass, UtilityShape};
+use crate::alma::teams::Allocate;
+
+pub use input::{TeamColumns, TeamQuery, TeamValueInput};
+pub use loss::{Decision, Segment, Segments, TeamValueLoss};
+
+/// Sweeps of the coordinate ascent; few are needed until no agent moves.
+const SWEEPS: usize = 8;
+
+/// Space to search allocations with networks of one shape.
+#[derive(Clone, Debug)]
+pub struct TeamSearch {
+    team_max: usize,
+    pass: UtilityPass,
+    input: TeamValueInput,
+    seen: Observation,
+    arena: Vec<exact::Cell>,
+}
+
+impl TeamSearch {
+    /// Empty space; no subtask gets more than `team_max` agents.
+    pub fn new(shape: UtilityShape, team_max: usize) -> Self {
+        Self {
+            team_max,
+            pass: UtilityPass::new(shape),
+            input: TeamValueInput::default(),
+            seen: Observation::default(),
+            arena: Vec::new(),
+        }
+    }
+
+    /// Floating-point operations up to now, as [`UtilityPass::operations`] counts them.
+    pub fn operations(&self) -> u64 {
+        self.pass.operations()
+    }
+
+    /// Writes the best subtask of every agent; further entries are [`UNASSIGNED`].
+    ///
+    /// Exact for up to [`EXACT_AGENTS`] agents; for more, coordinate ascent from what the environment's usual rule allocates.
+    pub fn allocate(
+        &mut self,
+        network: &UtilityNetwork,
+        environment: &dyn Environment,
+        state: &[u8],
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        environment.observe(state, 0, 0, &mut self.seen);
+        let (agents, open_tasks) = (self.seen.agents(), self.seen.open_tasks);
+        let teams = Teams { agents, open_tasks, team_max: self.team_max };
+        allocation.fill(UNASSIGNED);
+        let found = if agents <= EXACT_AGENTS {
+            let values = self.pass.forward(network, self.input.all_teams(environment, state));
+            self.arena.resize(values.len(), exact::Cell::default());
+            exact::search(teams, values, &mut self.arena, &mut allocation[..agents]).map(drop)
+        } else {
+            environment.allocate(0, state, generator, allocation);
+            let Self { pass, input, .. } = self;
+            let mut values = NetworkValue { network, environment, state, pass, input };
+            ascent::search(teams, &mut values, SWEEPS, &mut allocation[..agents]).map(drop)
+        };
+        found.map_err(|error| LearnError::Team(error.to_string()))
+    }
+}
+
+/// The values of single teams, as the coordinate ascent asks for them.
+struct NetworkValue<'a> {
+    network: &'a UtilityNetwork,
+    environment: &'a dyn Environment,
+    state: &'a [u8],
+    pass: &'a mut UtilityPass,
+    input: &'a mut TeamValueInput,
+}
+
+impl TeamValue for NetworkValue<'_> {
+    fn value(&mut self, task: usize, team: u64) -> f32 {
+        let mut value = [0.0];
+        self.values(&[(task, team)], &mut value);
+        value[0]
+    }
+
+    fn values(&mut self, questions: &[(usize, u64)], values: &mut [f32]) {
+        let Self { network, environment, state, pass, input } = self;
+        let query =
+            |(task, team): &(usize, u64)| TeamQuery { state, task: *task, team: *team, turn: 0 };
+        let input = input.queries(*environment, questions.iter().map(query));
+        values.copy_from_slice(pass.forward(network, input));
+    }
+}
+
+/// A team-value network as allocator.
+#[derive(Clone, Debug)]
+pub struct TeamValueAllocator<'a> {
+    network: &'a UtilityNetwork,
+    search: TeamSearch,
+}
+
+impl<'a> TeamValueAllocator<'a> {
+    /// Allocates by a network; no subtask gets more than `team_max` agents.
+    pub fn new(network: &'a UtilityNetwork, team_max: usize) -> Self {
+        Self { network, search: TeamSearch::new(network.shape(), team_max) }
+    }
+}
+
+impl Allocate for TeamValueAllocator<'_> {
+    fn allocate(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        generator: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        self.search.allocate(self.network, environment, state, generator, allocation)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::Split;
+    use sortie_learn::random::{Purpose, generator};
+
+    use super::*;
+    use crate::alma::evaluate::{EvaluationPlan, evaluate};
+    use crate::alma::records::config::AllocatorConfig;
+    use crate::alma::teams::ScriptedActors;
+
+    fn environment(set: &str, instances: usize) -> Box<dyn Environment> {
+        let name = format!("save-the-city/{set}");
+        sortie_envs::open(&name, Split::Train, instances, &Default::default()).unwrap()
+    }
+
+    fn network(environment: &dyn Environment) -> UtilityNetwork {
+        let mut config = AllocatorConfig::default();
+        (config.network.width, config.network.base) = (8, 8);
+        let shape = config.shape(environment.spec());
+        UtilityNetwork::initialise(shape, 8.0, &mut generator(2, Purpose::Weights, 0))
+    }
+
+    #[test]
+    fn every_agent_gets_an_open_subtask_and_no_team_is_too_large() {
+        for set in ["2-5a_2-5b", "12a_12b"] {
+            let mut worlds = environment(set, 6);
+            let network = network(&*worlds);
+            let (mut random, mut seen) =
+                (generator(5, Purpose::Rollout, 0), Observation::default());
+            for instance in 0..6 {
+                worlds.reset(instance, &mut random);
+                let mut state = Vec::new();
+                worlds.save(instance, &mut state);
+                worlds.observe(&state, 0, 0, &mut seen);
+                let mut allocation = [7; 64];
+                let mut search = TeamSearch::new(network.shape(), 2);
+                let found =
+                    search.allocate(&network, &*worlds, &state, &mut random, &mut allocation);
+                found.unwrap();
+                let (assigned, rest) = allocation.split_at(seen.agents());
+                assert!(rest.iter().all(|task| *task == UNASSIGNED));
+                for task in assigned {
+                    assert!(seen.open_tasks >> task & 1 == 1);
+                    assert!(assigned.iter().filter(|other| *other == task).count() <= 2);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_untrained_allocator_plays_to_the_end() {
+        let environment = environment("2-5a_2-5b", 1);
+        let plan = EvaluationPlan::new(&*environment, 20, 3);
+        let network = network(&*environment);
+        let play = || {
+            let mut allocator = TeamValueAllocator::new(&network, 5);
+            evaluate(&plan, &mut ScriptedActors::new(1), &mut allocator).unwrap()
+        };
+        let first = play();
+        assert_eq!(first.episodes, 20);
+        assert_eq!(first, play());
+    }
+}

@@ -1,12 +1,12 @@
-use super::*;
-use crate::alma::agents::TeamBatch;
-use crate::alma::agents::UtilityNetwork;
-use crate::alma::records::fixed::{Fixed, begin, fixed, observer, play, usual};
-use crate::alma::records::mixer::Teams;
-use crate::alma::records::{Config, Mixer, MixerKind, Parameters};
 use sortie_envs::Observation;
 use sortie_learn::random::{Purpose, generator};
 use sortie_nn::gradient_check::assert_gradient;
+
+use super::*;
+use crate::alma::agents::{TeamBatch, UtilityNetwork};
+use crate::alma::records::mixer::Teams;
+use crate::alma::records::toy::{Fixed, begin, fixed, observer, play, usual};
+use crate::alma::records::{Config, Mixer, MixerKind, Parameters};
 
 /// Few records, so that finite differences cross few kinks.
 const BATCH: usize = 16;

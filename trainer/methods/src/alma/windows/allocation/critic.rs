@@ -9,13 +9,13 @@ use sortie_nn::layers::vectors::{add_scaled, dots};
 use sortie_nn::layers::wide::{Work, run_widest};
 use sortie_nn::layers::{SparseRows, VisibleLists, attention, linear, relu, sparse_linear};
 
-use super::super::batch::NO_TASK;
+use super::AllocationShape;
 use super::gathers::{gather, scatter_add};
 use super::networks::{AllocationCritic, COUNT_SCALE};
-use super::states::{States, team_size};
+use super::rows::{States, team_size};
 use super::trunk::NONE;
-use super::weights::AllocationShape;
-use crate::alma::agents::sized;
+use crate::alma::windows::NO_TASK;
+use crate::sized;
 
 /// Allocations to be valued, with what their rows share.
 #[derive(Clone, Debug, Default)]
@@ -40,7 +40,6 @@ pub(super) struct CriticInput {
 }
 
 impl CriticInput {
-    /// Forgets all allocations, keeps the memory.
     pub(super) fn clear(&mut self) {
         self.rows.clear();
         self.agent_rows.clear();
@@ -115,7 +114,6 @@ impl CriticInput {
         }
     }
 
-    /// How many allocations there are.
     pub(super) fn len(&self) -> usize {
         self.ends.len()
     }

@@ -8,7 +8,7 @@ use sortie_nn::random::Generator;
 use super::critic::{CriticInput, CriticPass};
 use super::networks::{AllocationCritic, AllocationPolicy};
 use super::proposals::{Noise, ProposalPass};
-use super::states::States;
+use super::rows::States;
 
 /// States that are worked on together: enough rows for the matrix products, few enough for the cache.
 pub(super) const BLOCK: usize = 10;

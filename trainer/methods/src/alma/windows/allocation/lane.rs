@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
-use super::super::times::{AllocationTimes, Stopwatch};
 use super::critic::{CriticInput, CriticPass};
 use super::decide::{AllocationNetworks, best_of, blocks, push_distinct};
-use super::learning::{AllocationLearning, StepDraws};
 use super::networks::AllocationCritic;
 use super::proposals::ProposalPass;
 use super::rows::Rows;
+use super::{AllocationLearning, StepDraws};
+use crate::alma::windows::{AllocationTimes, Stopwatch};
 
 /// How rows count in the losses.
 #[derive(Clone, Debug)]

@@ -7,19 +7,18 @@
 use std::ops::Range;
 use std::time::Duration;
 
+use sortie_learn::random::{Purpose, generator};
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::optimise::{RmsProp, clip_norm};
 use sortie_nn::random::Generator;
 
-use super::super::batch::Windows;
-use super::super::popart::PopArt;
-use super::super::times::{AllocationTimes, Stopwatch};
 use super::decide::AllocationNetworks;
 use super::lane::{Heads, Lane, Loss};
-use super::learning::{AllocationLearning, StepDraws};
 use super::networks::{AllocationCritic, AllocationPolicy};
 use super::rows::Rows;
-use sortie_learn::random::{Purpose, generator};
+use super::{AllocationLearning, StepDraws};
+use crate::alma::windows::popart::PopArt;
+use crate::alma::windows::{AllocationTimes, Stopwatch, Windows};
 
 /// Into how many parts the rows of a step are cut.
 const LANES: usize = 8;
@@ -295,7 +294,6 @@ impl AllocationLevel {
     }
 }
 
-/// The rows of a lane.
 fn lane_range(rows: usize, lane: usize) -> Range<usize> {
     rows * lane / LANES..rows * (lane + 1) / LANES
 }

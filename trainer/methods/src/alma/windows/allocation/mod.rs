@@ -7,24 +7,161 @@ mod critic;
 mod decide;
 mod gathers;
 mod lane;
-mod learning;
 mod level;
 mod networks;
 mod proposals;
 mod rows;
-mod states;
 mod teams;
 #[cfg(test)]
 mod tests;
-mod tree;
 mod trunk;
-mod weights;
+
+use rand_core::Rng;
+use sortie_nn::random::Generator;
+
+use decide::shuffled;
 
 pub use decide::{AllocationNetworks, Decided, Decider, Proposed, TaskColumns};
-pub use learning::{AllocationLearning, StepDraws};
 pub use level::{AllocationLevel, AllocationReport, AllocationState, LastStep};
 pub use networks::{AllocationCritic, AllocationPolicy};
 pub use proposals::Noise;
-pub use rows::{RowRules, Rows};
-pub use states::{StateView, States};
-pub use weights::{AllocationShape, CriticWeights, PolicyWeights};
+pub use rows::{RowRules, Rows, StateView, States};
+
+/// How the high level learns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AllocationLearning {
+    /// Sizes of both networks.
+    pub shape: AllocationShape,
+    /// Allocations P that are proposed for every state.
+    pub proposals: usize,
+    /// How decision points become rows.
+    pub rows: RowRules,
+    /// Discount γ, once per decision.
+    pub discount: f64,
+    /// Weight of the proposals' entropy.
+    pub entropy: f64,
+    /// Step size of both optimisers.
+    pub learning_rate: f32,
+    /// Limit of the norm of each network's gradient.
+    pub gradient_norm: f32,
+    /// Follows the public code where it differs from the dissertation: in the policy's loss the last row
+    /// does not age, and the critic's head is rescaled only after its output has been compared.
+    pub as_public_code: bool,
+}
+
+impl AllocationLearning {
+    /// The published parameters, for decisions every `interval` environment steps.
+    pub fn published(shape: AllocationShape, interval: f32) -> Self {
+        Self {
+            shape,
+            proposals: 32,
+            rows: RowRules { interval, most: 400, age_limit: 150_000.0 },
+            discount: 0.99,
+            entropy: 0.01,
+            learning_rate: 5e-4,
+            gradient_norm: 10.0,
+            as_public_code: false,
+        }
+    }
+}
+
+/// The random choices of a step.
+#[derive(Clone, Debug)]
+pub struct StepDraws<'a> {
+    /// Columns of the policy and of the critic where it values proposals.
+    pub proposals: TaskColumns,
+    /// Columns of the critic where it values stored allocations, `[T]`.
+    pub stored: Vec<u8>,
+    /// Columns of the target critic, `[T]`.
+    pub target: Vec<u8>,
+    /// What the proposals are drawn with.
+    pub noise: Noise<'a>,
+}
+
+impl StepDraws<'_> {
+    /// Draws for T subtasks of networks with so many task columns.
+    pub fn draw(tasks: usize, columns: usize, generator: &mut Generator) -> Self {
+        Self {
+            proposals: TaskColumns::shuffled(tasks, columns, generator),
+            stored: shuffled(tasks, columns, generator),
+            target: shuffled(tasks, columns, generator),
+            noise: Noise::Seeded { seed: generator.next_u64(), greedy_first: false },
+        }
+    }
+}
+
+/// Sizes of both allocation networks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AllocationShape {
+    /// Features d of an entity, without its last action.
+    pub features: usize,
+    /// Task columns T of the embeddings, spare ones included.
+    pub columns: usize,
+    /// Width E of embeddings and attention.
+    pub width: usize,
+    /// Attention heads H, a divisor of the width.
+    pub heads: usize,
+}
+
+/// The tensors of the allocation critic `Q(s, b)`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CriticWeights {
+    /// The sizes.
+    pub shape: AllocationShape,
+    /// `in_fc_ent.weight [E, d]`
+    pub entity_weight: Vec<f32>,
+    /// `in_fc_ent.bias [E]`
+    pub entity_bias: Vec<f32>,
+    /// `in_fc_alloc.fc.weight [E, T]`, without bias.
+    pub task_weight: Vec<f32>,
+    /// `count_embed.count_embed.weight [E, 2]`: agents of the task, its other entities; the sum with the
+    /// bias is multiplied by 0.2.
+    pub count_weight: Vec<f32>,
+    /// `count_embed.count_embed.bias [E]`
+    pub count_bias: Vec<f32>,
+    /// `attn.in_trans.weight [3 E, E]`: queries, keys, values; without bias.
+    pub attention_in_weight: Vec<f32>,
+    /// `attn.out_trans.weight [E, E]`
+    pub attention_out_weight: Vec<f32>,
+    /// `attn.out_trans.bias [E]`
+    pub attention_out_bias: Vec<f32>,
+    /// `out_fc.weight [1, E]`
+    pub value_weight: Vec<f32>,
+    /// `out_fc.bias [1]`
+    pub value_bias: Vec<f32>,
+    /// `popart_weight`: the value in normalised units is `popart_weight * out_fc(..) + popart_bias`.
+    pub popart_weight: f32,
+    /// `popart_bias`
+    pub popart_bias: f32,
+    /// Mean of the targets: the value in real units is `normalised * deviation + mean`.
+    pub mean: f32,
+    /// Standard deviation of the targets, positive.
+    pub deviation: f32,
+}
+
+/// The tensors of the policy `f(b | s)` that proposes allocations.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PolicyWeights {
+    /// The sizes.
+    pub shape: AllocationShape,
+    /// `fc1.weight [E, d]`
+    pub entity_weight: Vec<f32>,
+    /// `fc1.bias [E]`
+    pub entity_bias: Vec<f32>,
+    /// `task_embed.fc.weight [E, T]`, without bias.
+    pub task_weight: Vec<f32>,
+    /// `attn.in_trans.weight [3 E, E]`: queries, keys, values; without bias.
+    pub attention_in_weight: Vec<f32>,
+    /// `attn.out_trans.weight [E, E]`
+    pub attention_out_weight: Vec<f32>,
+    /// `attn.out_trans.bias [E]`
+    pub attention_out_bias: Vec<f32>,
+    /// `count_embed.weight [E, 2]`: other entities of the task, its agents; both counts times 0.2.
+    pub count_weight: Vec<f32>,
+    /// `count_embed.bias [E]`, not scaled.
+    pub count_bias: Vec<f32>,
+    /// `embed_update.weight [E, 2 E]`: the task's columns, then the agent's.
+    pub update_weight: Vec<f32>,
+    /// `embed_update.bias [E]`
+    pub update_bias: Vec<f32>,
+}

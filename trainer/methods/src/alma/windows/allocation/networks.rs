@@ -9,8 +9,9 @@ use sortie_nn::layers::attention::AttentionShape;
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::{Generator, signed_unit};
 
-use super::super::popart::PopArt;
-use super::weights::{AllocationShape, CriticWeights, PolicyWeights};
+use super::{AllocationShape, CriticWeights, PolicyWeights};
+use crate::alma::agents::transpose;
+use crate::alma::windows::popart::PopArt;
 
 /// What counts of agents and of other entities are multiplied by.
 pub(super) const COUNT_SCALE: f32 = 0.2;
@@ -433,11 +434,6 @@ fn fill(tensor: &mut [f32], values: &[f32]) -> Option<()> {
 /// As [`transpose`], or `None` where the length does not fit.
 fn transposed(matrix: &[f32], rows: usize, columns: usize) -> Option<Vec<f32>> {
     (matrix.len() == rows * columns).then(|| transpose(matrix, rows, columns))
-}
-
-fn transpose(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
-    let elements = (0..columns).flat_map(|j| (0..rows).map(move |i| (i, j)));
-    elements.map(|(i, j)| matrix[i * columns + j]).collect()
 }
 
 #[cfg(test)]

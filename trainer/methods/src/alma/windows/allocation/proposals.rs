@@ -1,20 +1,20 @@
 //! Allocations proposed by the policy, with their probabilities, and the way back to its weights.
 //!
 //! Dissertation section 7.2.2 and the public code's autoregressive pointer policy, rewritten so that every
-//! distinct thing is computed once: see [`super::trunk`], [`super::tree`] and [`super::teams`].
+//! distinct thing is computed once: see [`super::trunk`], [`super::teams`] and [`super::teams`].
 
 use std::ops::Range;
 
-use super::super::batch::NO_TASK;
-use super::networks::{AllocationPolicy, PolicyParts};
-use super::states::States;
-use super::teams::Teams;
-use super::tree::{Prefix, Tree};
-use super::trunk::{Block, NONE, Trunk};
 use sortie_core::internal::math::exp;
 use sortie_envs::random::unit;
 use sortie_learn::random::{Purpose, generator};
 use sortie_nn::random::Generator;
+
+use super::networks::{AllocationPolicy, PolicyParts};
+use super::rows::States;
+use super::teams::{Prefix, Teams, Tree};
+use super::trunk::{Block, NONE, Trunk};
+use crate::alma::windows::NO_TASK;
 
 /// What decides between the possible choices.
 #[derive(Clone, Copy, Debug)]

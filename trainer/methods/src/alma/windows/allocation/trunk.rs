@@ -10,12 +10,12 @@ use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 use sortie_nn::layers::vectors::add_scaled;
 use sortie_nn::layers::{SparseRows, VisibleLists, attention, linear, relu, sparse_linear};
 
-use super::super::batch::NO_TASK;
+use super::AllocationShape;
 use super::gathers::{add_rectified, gather, scatter_add};
 use super::networks::{COUNT_SCALE, PolicyParts};
-use super::states::States;
-use super::weights::AllocationShape;
-use crate::alma::agents::sized;
+use super::rows::States;
+use crate::alma::windows::NO_TASK;
+use crate::sized;
 
 /// Nothing stands here.
 pub(super) const NONE: u32 = u32::MAX;
@@ -168,12 +168,10 @@ impl Block {
         self.rows.end_row();
     }
 
-    /// Open subtasks of all states.
     pub(super) fn open_count(&self) -> usize {
         self.others.len()
     }
 
-    /// How many states there are.
     pub(super) fn len(&self) -> usize {
         self.levels.len()
     }

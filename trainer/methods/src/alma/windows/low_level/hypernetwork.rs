@@ -14,7 +14,7 @@ use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 use sortie_nn::layers::team_attention::{self, Backward, Forward, Sums, TeamLists};
 use sortie_nn::layers::{SparseRows, relu, sparse_linear};
 
-use crate::alma::agents::sized;
+use crate::sized;
 
 /// What a hypernetwork gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

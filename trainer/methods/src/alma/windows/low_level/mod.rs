@@ -8,44 +8,36 @@
 //! A step is computed in chunks of states that fit the cache, in a fixed number of lanes with gradients
 //! of their own, which are added in order: results depend neither on the number of threads nor on time.
 
-mod agents;
-mod availability;
 pub mod coaching;
-mod config;
 mod hypernetwork;
 mod looking;
 mod mixer;
-mod mixer_shape;
-mod mixing;
-mod recurrent;
-mod scene;
 mod step;
 mod teams;
 mod values;
 
-pub use availability::is_available;
-pub use config::{LowLevelConfig, PopArtOrder};
-pub use hypernetwork::{
-    HypernetworkGradient, HypernetworkPass, HypernetworkShape, Merged, MixerInput, Mode,
-};
-pub use mixer::{MergedMixer, Mixer, MixerGradient, MixerPass};
-pub use mixer_shape::{HYPERNETWORKS, MixerShape, Nonnegative};
-pub use step::Term;
-pub use values::{agent_utilities, team_input, team_values};
-
 use std::time::Duration;
 
-use super::batch::{WindowShape, Windows};
-use super::popart::PopArt;
-use super::times::{LowLevelTimes, Stopwatch};
-use crate::alma::agents::{Conditioning, TaskOrder, UtilityNetwork};
-use crate::alma::teams::Agents;
-use coaching::{CoachConfig, Coaching, Held, Told};
-use recurrent::Recurrent;
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::optimise::{RmsProp, clip_norm};
 use sortie_nn::random::Generator;
+
+use super::popart::PopArt;
+use super::{LowLevelTimes, Stopwatch, WindowShape, Windows};
+use crate::alma::agents::{Conditioning, TaskOrder, UtilityNetwork};
+use crate::alma::teams::Agents;
+use coaching::{CoachConfig, Coaching, Held, Told};
+use looking::Recurrent;
 use step::{Bootstrap, Descent, Lane, Side, Step};
+
+pub use super::config::{LowLevelConfig, Nonnegative, PopArtOrder};
+pub use hypernetwork::{
+    HypernetworkGradient, HypernetworkPass, HypernetworkShape, Merged, MixerInput, Mode,
+};
+pub use mixer::{HYPERNETWORKS, MergedMixer, Mixer, MixerGradient, MixerPass, MixerShape};
+pub use step::Term;
+pub use teams::is_available;
+pub use values::{agent_utilities, team_input, team_values};
 
 /// Parts of a step with gradients of their own.
 const LANES: usize = 8;
@@ -110,9 +102,12 @@ pub struct LowLevel {
 impl LowLevel {
     /// A learner with new networks. Of the sizes those of the environment count, not those of a batch.
     pub fn new(config: LowLevelConfig, sizes: WindowShape, generator: &mut Generator) -> Self {
-        let agents = agents::initialise(&config, sizes, generator);
-        let gru =
-            if config.recurrent { recurrent::initialise(config.base, generator) } else { vec![] };
+        let agents = values::initialise_agents(&config, sizes, generator);
+        let gru = if config.recurrent {
+            looking::initialise_unit(config.base, generator)
+        } else {
+            vec![]
+        };
         let online = LowLevelNetworks {
             agents,
             gru,

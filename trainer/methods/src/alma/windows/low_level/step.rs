@@ -10,19 +10,16 @@
 
 use std::time::Duration;
 
-use super::super::batch::Windows;
-use super::super::popart::PopArt;
-use super::availability::is_available;
 use super::coaching::{CoachLane, Guess, Held};
-use super::config::LowLevelConfig;
 use super::hypernetwork::MixerInput;
-use super::looking::LookingPass;
+use super::looking::{LookingPass, Recurrent};
 use super::mixer::{MergedMixer, Mixer, MixerGradient, MixerPass};
-use super::recurrent::Recurrent;
-use super::scene::Marks;
-use super::teams::{Teams, View, tasks_with_agents};
+use super::teams::{Marks, Teams, View, is_available, tasks_with_agents};
 use crate::alma::agents::{Conditioning, TaskOrder, UtilityNetwork};
 use crate::alma::records::config::ReturnsConfig;
+use crate::alma::windows::Windows;
+use crate::alma::windows::config::LowLevelConfig;
+use crate::alma::windows::popart::PopArt;
 
 /// A term of the loss: the value of a team in a state.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,9 +63,7 @@ struct Bootstrapped {
     /// The last state whose reward counts: the value is that of the one behind it.
     state: usize,
     task: Option<usize>,
-    /// The term's place in its lane.
     term: usize,
-    /// The value's weight.
     discount: f64,
 }
 
@@ -102,7 +97,6 @@ pub(super) struct Lane {
     actions: Vec<u8>,
     utilities: Vec<f32>,
     slopes: Vec<f32>,
-    /// Terms that bootstrap.
     bootstrapped: Vec<Bootstrapped>,
     pub(super) terms: Vec<Term>,
     /// Terms whose gradients have been computed.
@@ -149,7 +143,6 @@ impl Lane {
         }
     }
 
-    /// Floating-point operations up to now.
     pub(super) fn operations(&self) -> u64 {
         self.agent_pass.operations() + self.mixer_pass.operations()
     }
@@ -226,7 +219,6 @@ impl Step<'_> {
         self.leads_on(state + 1) && now.eq(windows.allocation(state + 1).iter().map(works))
     }
 
-    /// What agents see of the subtasks.
     fn agent_marks<'o>(&self, order: &'o TaskOrder) -> (Conditioning, Marks<'o>) {
         let conditioning = self.config.conditioning;
         (conditioning, (conditioning == Conditioning::Input).then_some(&*order.0))

@@ -1,11 +1,122 @@
-//! The teams of some states, and what agents and mixer see of them.
+//! The teams of some states, what agents and mixer see of them, and which actions the next step may be valued by.
 
 use std::ops::Range;
 
-use super::super::batch::{NO_TASK, Windows};
+use sortie_nn::layers::SparseRows;
+
 use super::hypernetwork::MixerInput;
-use super::scene::{Marks, Places, Scene};
 use crate::alma::agents::{Conditioning, UtilityInput};
+use crate::alma::windows::{NO_ACTION, NO_TASK, Windows};
+
+/// One state, seen with the subtasks that hold at a state: usually the same, or the one before.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scene<'a> {
+    pub(super) windows: &'a Windows,
+    /// Whose entities there are.
+    pub(super) state: usize,
+    /// Whose subtasks and allocation hold.
+    tasks_of: usize,
+}
+
+/// The columns that mark an entity's subtask: the one of subtask t stands at place t, counted from the
+/// first behind features and last action.
+pub(super) type Marks<'a> = Option<&'a [u16]>;
+
+impl Scene<'_> {
+    pub(super) fn present(self, entity: usize) -> bool {
+        self.windows.present[self.state * self.windows.shape.entities + entity]
+    }
+
+    /// The subtask of an entity, or [`NO_TASK`].
+    pub(super) fn task(self, entity: usize) -> u8 {
+        self.windows.entity_task[self.tasks_of * self.windows.shape.entities + entity]
+    }
+
+    /// Whether two entities work on a subtask together.
+    fn share_task(self, a: usize, b: usize) -> bool {
+        self.task(a) != NO_TASK && self.task(a) == self.task(b)
+    }
+
+    fn observes(self, agent: usize, entity: usize) -> bool {
+        let shape = self.windows.shape;
+        let row = self.state * shape.agents + agent;
+        self.windows.observable[row * shape.entities + entity] && self.present(entity)
+    }
+
+    /// Adds the row of an entity: its features, its last action's one-hot, its subtask's mark.
+    pub(super) fn write(self, entity: usize, marks: Marks<'_>, rows: &mut SparseRows) {
+        let shape = self.windows.shape;
+        for (column, value) in self.windows.features.row(self.state * shape.entities + entity) {
+            rows.push(column, value);
+        }
+        if entity < shape.agents {
+            let last = self.windows.last_actions[self.state * shape.agents + entity];
+            if last != NO_ACTION {
+                rows.push(shape.features + usize::from(last), 1.0);
+            }
+        }
+        if let Some(column) = marks.and_then(|marks| marks.get(usize::from(self.task(entity)))) {
+            rows.push(shape.features + shape.actions + usize::from(*column), 1.0);
+        }
+        rows.end_row();
+    }
+}
+
+/// Rows of many states; each entity of a state gets a row when it is first asked for.
+#[derive(Clone, Debug, Default)]
+struct Places {
+    /// `[N]`: the row of every entity of the current state, or [`NOWHERE`].
+    rows: Vec<u32>,
+}
+
+const NOWHERE: u32 = u32::MAX;
+
+impl Places {
+    /// Begins a state whose `agents` have rows already, from row `first` on.
+    pub(super) fn begin(&mut self, entities: usize, first: usize, agents: &[u8]) {
+        self.rows.clear();
+        self.rows.resize(entities, NOWHERE);
+        for (row, agent) in (first..).zip(agents) {
+            self.rows[usize::from(*agent)] = row as u32;
+        }
+    }
+
+    /// The row of an entity, which is added where it has none.
+    pub(super) fn row(
+        &mut self,
+        scene: Scene<'_>,
+        entity: usize,
+        marks: Marks<'_>,
+        rows: &mut SparseRows,
+    ) -> usize {
+        if self.rows[entity] == NOWHERE {
+            self.rows[entity] = rows.len() as u32;
+            scene.write(entity, marks, rows);
+        }
+        self.rows[entity] as usize
+    }
+}
+
+/// Codes from here on name an agent.
+const AGENTS: u16 = 1000;
+
+/// Whether an action is available to an agent, given its code and everybody's allocation.
+///
+/// 0 is not available, 1 is; 2 + t is available to agents allocated to subtask t, 1000 + a to those
+/// allocated to the same subtask as agent a. Who has no allocation counts as allocated to subtask 0, as in
+/// the public code.
+pub fn is_available(code: u16, agent: usize, allocation: &[u8]) -> bool {
+    let task = |agent: usize| match allocation.get(agent) {
+        Some(task) if *task != NO_TASK => *task,
+        _ => 0,
+    };
+    match code {
+        0 => false,
+        1 => true,
+        2..AGENTS => u16::from(task(agent)) == code - 2,
+        AGENTS.. => task(agent) == task(usize::from(code - AGENTS)),
+    }
+}
 
 /// How states are looked at, from the state that a team belongs to.
 #[derive(Clone, Copy, Debug)]
@@ -60,7 +171,6 @@ pub(super) struct Teams {
 }
 
 impl Teams {
-    /// Forgets all teams, keeps the memory.
     pub(super) fn clear(&mut self) {
         self.teams.clear();
         self.agents.clear();
@@ -80,7 +190,6 @@ impl Teams {
         self.teams.push(Team { state, task: task.unwrap_or(0), agents });
     }
 
-    /// The teams.
     pub(super) fn each(&self) -> impl Iterator<Item = &Team> + Clone {
         self.teams.iter()
     }

@@ -30,9 +30,9 @@ fn learner(config: LowLevelConfig, sizes: WindowShape) -> LowLevel {
     let mut learner = LowLevel::new(config, sizes, &mut generator(1, Purpose::Weights, 0));
     // Target networks of their own, so that nothing passes for the other.
     let other = &mut generator(2, Purpose::Weights, 0);
-    learner.target.agents = agents::initialise(&learner.config, sizes, other);
+    learner.target.agents = values::initialise_agents(&learner.config, sizes, other);
     if learner.config.recurrent {
-        learner.target.gru = recurrent::initialise(learner.config.base, other);
+        learner.target.gru = looking::initialise_unit(learner.config.base, other);
     }
     learner.target.mixer = Mixer::initialise(learner.config.mixer(sizes), other);
     learner

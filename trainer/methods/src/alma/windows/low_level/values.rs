@@ -1,15 +1,86 @@
-//! The utilities of all agents and the values of all teams of a batch, outside a step.
+//! The agents' utility network as the learner uses it (dissertation section 7.3), and what it makes of a batch outside a
+//! step: the utilities of all agents and the values of all teams.
+//!
+//! With the subtask mask an agent sees its team only; without it ("no mask") it sees everything, and a
+//! subtask's embedding is added to what `fc1` gives for an entity: further rows of `fc1` for one-hot marks
+//! behind the features. Which mark stands for which subtask is shuffled before each pass, so that no
+//! subtask is special; spare marks let one network serve more subtasks than it was trained with.
 
 use std::ops::Range;
 
-use super::super::batch::{WindowShape, Windows};
-use super::hypernetwork::MixerInput;
-use super::looking::LookingPass;
-use super::mixer::{Mixer, MixerPass};
-use super::recurrent::Recurrent;
+use sortie_nn::random::Generator;
+
+use super::hypernetwork::{HypernetworkShape, MixerInput};
+use super::looking::{LookingPass, Recurrent};
+use super::mixer::{Mixer, MixerPass, MixerShape};
 use super::teams::{Teams, View};
-use crate::alma::agents::{Conditioning, TaskOrder};
+use crate::alma::agents::{Conditioning, TaskOrder, UtilityNetwork, UtilityShape};
+use crate::alma::coach::CoachShape;
 use crate::alma::teams::Agents;
+use crate::alma::windows::config::LowLevelConfig;
+use crate::alma::windows::{WindowShape, Windows};
+
+impl LowLevelConfig {
+    /// The sizes of the agents' network in an environment of these sizes.
+    pub fn shape(&self, sizes: WindowShape) -> UtilityShape {
+        let marks = self.conditioning.task_columns(sizes.tasks + self.extra_tasks);
+        UtilityShape {
+            input: sizes.features + sizes.actions + marks,
+            width: self.width,
+            heads: self.heads,
+            base: self.base,
+            actions: sizes.actions,
+            skip: self.skip,
+        }
+    }
+
+    /// The sizes of a coach in an environment of these sizes: as wide as its players.
+    pub fn coach(&self, sizes: WindowShape) -> CoachShape {
+        CoachShape {
+            features: sizes.features,
+            marks: sizes.tasks + self.extra_tasks,
+            width: self.width,
+            heads: self.heads,
+            strategy: self.base,
+        }
+    }
+
+    /// The sizes of the mixer in an environment of these sizes.
+    pub fn mixer(&self, sizes: WindowShape) -> MixerShape {
+        let tasks = if self.conditioning.has_subtasks() { sizes.tasks } else { 1 };
+        let marks = self.conditioning.task_columns(sizes.tasks);
+        MixerShape {
+            hypernetwork: HypernetworkShape {
+                input: sizes.features + sizes.actions + marks,
+                width: self.hypernetwork_width,
+                heads: self.hypernetwork_heads,
+                mixing: self.mixing,
+            },
+            slots: sizes.agents,
+            outputs: if self.popart_per_task { tasks } else { 1 },
+            nonnegative: self.nonnegative,
+            bias_nonnegative: self.bias_nonnegative,
+        }
+    }
+}
+
+/// Draws a network uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does, of the embedding's first
+/// layer as configured; marks are a layer of their own.
+pub(super) fn initialise_agents(
+    config: &LowLevelConfig,
+    sizes: WindowShape,
+    generator: &mut Generator,
+) -> UtilityNetwork {
+    let shape = config.shape(sizes);
+    let features = sizes.features + sizes.actions;
+    let active = if config.active_inputs > 0.0 { config.active_inputs } else { features as f32 };
+    let mut network = UtilityNetwork::initialise(shape, active, generator);
+    let marks = shape.input - features;
+    let factor = (active / marks.max(1) as f32).sqrt();
+    let rows = &mut network.parameters_mut()[features * shape.width..shape.input * shape.width];
+    rows.iter_mut().for_each(|weight| *weight *= factor);
+    network
+}
 
 /// The utilities `[W S, A, U]` in all states as the learner computes them, zeros for absent agents.
 /// Memories are empty at the begin of a window.

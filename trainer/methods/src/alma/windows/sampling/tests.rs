@@ -1,8 +1,8 @@
-use super::*;
-use crate::alma::windows::replay::Moment;
 use rand_core::SeedableRng;
 use sortie_envs::random::member;
 use sortie_envs::{Shape, Split, members};
+
+use super::{Moment, *};
 
 const SAMPLE: SampleShape =
     SampleShape { windows: 4, steps: 8, shaping: Shaping { scale: 0.0, discount: 0.0 } };
@@ -229,4 +229,15 @@ fn episodes_are_drawn_once_and_by_condition() {
     drawn.sort_unstable();
     assert_eq!(drawn, [5, 6, 7, 8, 9]);
     assert_eq!(draw_episodes(&replay, 6, &mut generator, |e| e.added > 5_000), None);
+}
+
+#[test]
+fn the_oldest_episode_makes_room() {
+    let mut replay = Replay::new(3);
+    for added in 0..8 {
+        replay.push(Episode { added, ..Episode::default() });
+    }
+    let mut kept: Vec<u64> = replay.episodes().iter().map(|episode| episode.added).collect();
+    kept.sort_unstable();
+    assert_eq!(kept, [5, 6, 7]);
 }

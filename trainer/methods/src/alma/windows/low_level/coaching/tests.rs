@@ -1,23 +1,21 @@
 use sortie_envs::random::chance;
 use sortie_envs::{EntitySet, Observation, Shape, Split};
+use sortie_learn::random::{Purpose, generator};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::Generator;
 
-use super::super::CHUNK;
-use super::super::LowLevel;
-use super::super::LowLevelConfig;
-use super::super::tests::{SIZES, config, draws, random_windows};
-use super::strategies::Holdings;
+use super::loss::Holdings;
 use super::*;
 use crate::alma::agents::{Conditioning, TaskOrder, UtilityInput};
 use crate::alma::coach::{
     Advice, Coach, CoachPass, CoachShape, Recognition, RecognitionPass, RecognitionShape,
     seen_input,
 };
+use crate::alma::windows::low_level::tests::{SIZES, config, draws, random_windows};
+use crate::alma::windows::low_level::{CHUNK, LowLevel, LowLevelConfig};
 use crate::alma::windows::{
     Episode, Moment, NO_TASK, Replay, SampleShape, Shaping, WindowShape, Windows, cut_windows,
 };
-use sortie_learn::random::{Purpose, generator};
 
 const SHAPE: CoachShape = CoachShape { features: 5, marks: 3, width: 8, heads: 2, strategy: 6 };
 
