@@ -1,19 +1,17 @@
 //! Reading and writing bundle folders.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
-use crate::contract::ContractV1;
-use crate::digest::{hex, sha256};
+use crate::contract::{ContractV1, OptionsContract};
 use crate::error::BundleError;
+use crate::files::{hex, sha256};
 use crate::golden::{Golden, MIN_ALLOCATIONS, MIN_CASES};
 use crate::manifest::{
     AGENT, AgentGraph, Contract, Environment, FORMAT, Limits, Manifest, Network, OPTION_GRAPHS,
     POLICY, PROPOSALS, TEAM_VALUE,
 };
-use crate::options::OptionsContract;
 use crate::policy_roles::PolicyRoles;
 use crate::recording::Recording;
 

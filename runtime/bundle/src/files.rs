@@ -1,4 +1,4 @@
-//! Files that are written whole or not at all.
+//! Files that are written whole or not at all, and their hashes.
 //!
 //! A file is written beside its place and moved there by one rename: whoever reads it sees the old or the new
 //! content, even after a crash. What cannot be finished is removed again.
@@ -7,6 +7,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+
+use sha2::{Digest, Sha256};
 
 /// Whether what was written must outlive a failure of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -124,10 +126,21 @@ fn draft_beside(path: &Path) -> PathBuf {
     folder_of(path).join(format!("{PREFIX}{}-{number}{SUFFIX}", std::process::id()))
 }
 
+/// SHA-256 of `bytes`.
+pub fn sha256(bytes: &[u8]) -> [u8; 32] {
+    Sha256::digest(bytes).into()
+}
+
+/// Bytes as lower-case hexadecimal digits.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::os::unix::fs::symlink;
+
+    use super::*;
 
     fn names(folder: &Path) -> Vec<String> {
         let entries = fs::read_dir(folder).unwrap().flatten();
@@ -184,5 +197,11 @@ mod tests {
         fs::write(folder.path().join("file"), "whole").unwrap();
         remove_drafts(folder.path());
         assert_eq!(names(folder.path()), ["file"]);
+    }
+
+    #[test]
+    fn matches_the_published_vector() {
+        let want = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(hex(&sha256(b"abc")), want);
     }
 }

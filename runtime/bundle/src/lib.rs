@@ -6,17 +6,13 @@
 //! everything, the policy that runs included.
 #![forbid(unsafe_code)]
 
-mod agent_graphs;
 mod allocation;
 mod bundle;
 mod contract;
-mod digest;
 mod error;
 pub mod files;
 mod golden;
 mod manifest;
-mod observation;
-mod options;
 mod policy_roles;
 mod recording;
 #[cfg(test)]
@@ -27,15 +23,18 @@ pub use bundle::{
     ALLOCATOR, ALLOCATOR_PLAN, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN, MANIFEST,
     POLICY_ROLES, PROPOSAL_PARTS, TRAINING,
 };
-pub use contract::{ContractV1, FallbackAllocation, SubtaskConditioning, WIRE_ABI};
-pub use digest::{hex, sha256};
+pub use contract::{
+    Affords, ContractV1, FallbackAllocation, MilestoneSign, OptionsContract, PictureContract,
+    SubtaskConditioning, WIRE_ABI,
+};
 pub use error::BundleError;
-pub use golden::{Golden, GoldenCase, GoldenEpisode, GoldenTick, MIN_ALLOCATIONS, MIN_CASES};
+pub use files::{hex, sha256};
+pub use golden::{
+    Golden, GoldenCase, GoldenEpisode, GoldenTick, MIN_ALLOCATIONS, MIN_CASES, OwnedObservation,
+};
 pub use manifest::{
     AGENT, AGENT_PLAN, AgentGraph, Contract, Environment, Limits, Manifest, Network, OPTION_GRAPHS,
     OPTIONS, POLICY, PROPOSALS, TEAM_VALUE,
 };
-pub use observation::OwnedObservation;
-pub use options::{Affords, MilestoneSign, OptionsContract, PictureContract};
 pub use policy_roles::PolicyRoles;
 pub use recording::{RecordedAgent, RecordedFrame, Recording, RecordingError};

@@ -1,12 +1,11 @@
 //! `bundle.toml`: contract, limits, network and the hashes of all parts.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 use sortie_core::limits;
 
-use crate::contract::ContractV1;
-use crate::options::OptionsContract;
+use crate::contract::{ContractV1, OptionsContract};
 
 /// The network of all agents; that of some has their graph's name in its own, see [`AgentGraph`].
 pub const AGENT: &str = "agent.onnx";
@@ -148,22 +147,18 @@ impl AgentGraph {
 
     /// Its ONNX file.
     pub fn onnx_part(&self) -> String {
-        self.part(AGENT)
+        Self::part_of(&self.name, AGENT)
     }
 
     /// Its plan.
     pub fn plan_part(&self) -> String {
-        self.part(AGENT_PLAN)
+        Self::part_of(&self.name, AGENT_PLAN)
     }
 
     /// The graphs of an agent that goes from milestone to milestone; what they take and give is in the files.
     pub(crate) fn of_options(contract: &ContractV1) -> [Self; 3] {
         let ContractV1 { features, actions, .. } = *contract;
         OPTION_GRAPHS.map(|name| Self { name: name.to_owned(), features, actions })
-    }
-
-    fn part(&self, of_all: &str) -> String {
-        Self::part_of(&self.name, of_all)
     }
 
     /// The name of a file of all agents becomes that of a graph's.
@@ -184,5 +179,62 @@ impl Network {
             None if self.graphs.is_empty() => 1,
             None => 2,
         }
+    }
+
+    /// What is wrong with the agents' graphs.
+    pub(crate) fn graphs_flaw(&self, contract: &ContractV1) -> Option<String> {
+        let Self { agent, graph_of, graphs, .. } = self;
+        let (agents, count) = (graph_of.len(), graphs.len());
+        let names: BTreeSet<&str> = graphs.iter().map(|graph| graph.name.as_str()).collect();
+        let unused = |index: &usize| !graph_of.iter().any(|graph| usize::from(*graph) == *index);
+        if (agent == OPTIONS) != self.options.is_some() {
+            return Some(
+                "an agent of kind `options` needs its rules, and no other has any".to_owned(),
+            );
+        }
+        if let Some(options) = &self.options {
+            return options_flaw(options, contract);
+        }
+        if graphs.is_empty() && graph_of.is_empty() {
+            return None;
+        }
+        if agent != POLICY {
+            return Some(format!("`{agent}` agents all decide by one graph, {count} are named"));
+        }
+        if agents > limits::AGENTS {
+            let most = limits::AGENTS;
+            return Some(format!("graph_of is of {agents} agents, at most {most} are possible"));
+        }
+        if names.len() != count || names.contains("") {
+            return Some("the agents' graphs need names, each another".to_owned());
+        }
+        if let Some(graph) = graph_of.iter().find(|graph| usize::from(**graph) >= count) {
+            return Some(format!("graph_of names graph {graph}, there are {count}"));
+        }
+        if let Some(graph) = (0..count).find(unused).and_then(|index| graphs.get(index)) {
+            return Some(format!("no agent decides by the graph `{}`", graph.name));
+        }
+        graphs.iter().find_map(|graph| {
+            let AgentGraph { name, features, actions } = graph;
+            let sizes = [
+                ("features", *features, contract.features),
+                ("actions", *actions, contract.actions),
+            ];
+            let wrong = |(_, got, most): &(&str, u16, u16)| !(1..=*most).contains(got);
+            let (what, got, most) = sizes.into_iter().find(wrong)?;
+            Some(format!("the graph `{name}` has {got} {what}, a row has {most}"))
+        })
+    }
+}
+
+/// What is wrong with the rules of options.
+fn options_flaw(options: &OptionsContract, contract: &ContractV1) -> Option<String> {
+    match options.rules(contract.actions.into()) {
+        Err(reason) => Some(reason),
+        Ok(rules) if rules.picture.features() != usize::from(contract.features) => {
+            let (want, got) = (contract.features, rules.picture.features());
+            Some(format!("the picture of options has {got} numbers, the contract says {want}"))
+        }
+        Ok(_) => None,
     }
 }
