@@ -9,11 +9,10 @@ use sortie_core::roles::{
 };
 use sortie_core::{Allocator, Policy, World};
 
-use crate::clock::MonotonicClock;
 use crate::domain::{DomainContract, DomainFacts};
 use crate::error::Error;
 use crate::processes::{WorldSettings, into_allocator_error, into_world_error};
-use crate::stop::Stop;
+use crate::stop::{MonotonicClock, Stop};
 
 /// Longest pause before the next look at the stop flag.
 const LONGEST_PAUSE: Duration = Duration::from_millis(100);

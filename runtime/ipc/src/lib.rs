@@ -5,8 +5,6 @@
 //! Everything of a domain is removed by the last process that leaves it, or by the next that comes.
 #![deny(unsafe_code)]
 
-mod build;
-mod clock;
 mod control;
 mod doctor;
 mod domain;
@@ -17,15 +15,11 @@ mod iox;
 mod policy;
 mod process_info;
 mod processes;
-mod random;
 mod real_time;
-mod registry;
 mod stop;
 mod supervisor;
 mod threads;
-mod waker;
 
-pub use clock::MonotonicClock;
 pub use control::{Answer, Order, control};
 pub use doctor::{Finding, Severity, examine};
 pub use domain::{BellKind, Domain, DomainContract, DomainFacts, Lock, Membership, Starting};
@@ -40,15 +34,13 @@ pub use policy::{
     Action, ClientCounters, ClientSettings, Engine, Expected, Fallback, PolicyClient, PolicySchema,
     PolicyServer, Port, ServeCounters, ServeSettings, Served,
 };
-pub use process_info::{NotAProcess, ProcessInfo};
+pub use process_info::{Ended, LoadedModel, NotAProcess, ProcessInfo, Registry};
 pub use processes::{
     AllocatorProcess, Children, Fill, ProcessSettings, RunnerProcess, WorldSettings,
     allocator_process, group_agents, runner_process, runner_process_with_heuristic, world_process,
     world_process_with_fill,
 };
 pub use real_time::RealTime;
-pub use registry::{Ended, LoadedModel, Registry};
-pub use stop::Stop;
+pub use stop::{MonotonicClock, Stop, Wakeable, Waker};
 pub use supervisor::{Charge, RestartPolicy, Supervision, SupervisorEvent, supervise};
 pub use threads::{ThreadAgent, ThreadAllocator, ThreadWorld, Threads};
-pub use waker::{Wakeable, Waker};

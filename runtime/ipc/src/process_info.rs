@@ -1,10 +1,11 @@
-//! Who a process is, as it answers those who ask.
+//! Who a process is, as it answers those who ask, which version of this crate it runs, and models that it can change to.
 
 use std::fmt;
 use std::str::FromStr;
 
+use sortie_core::Shape;
 use sortie_core::roles::Identity;
-use sortie_core::wire::Role;
+use sortie_core::wire::{ControlStatus, Role};
 
 /// Who answers, as `key=value` words and flags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,6 +99,90 @@ impl FromStr for ProcessInfo {
     }
 }
 
+/// This version: major, minor and patch in the upper byte, the next, and the lower half.
+pub(crate) const BUILD: u32 = number(env!("CARGO_PKG_VERSION_MAJOR")) << 24
+    | number(env!("CARGO_PKG_VERSION_MINOR")) << 16
+    | number(env!("CARGO_PKG_VERSION_PATCH"));
+
+const fn number(digits: &str) -> u32 {
+    match u32::from_str_radix(digits, 10) {
+        Ok(number) => number,
+        Err(_) => panic!("cargo writes versions in digits"),
+    }
+}
+
+/// A version as people write it.
+pub(crate) fn version(build: u32) -> String {
+    format!("{}.{}.{}", build >> 24, build >> 16 & 0xFF, build & 0xFFFF)
+}
+
+/// Where a process finds other models, by name.
+pub trait Registry {
+    /// Loads the model of `key`, checked and ready to be bound, and keeps it for the caller of the process. The one in
+    /// use stays as it is. The process stands still meanwhile.
+    ///
+    /// # Errors
+    /// [`ControlStatus::BadArgument`]: there is none under this key, or it cannot be read. A model of another contract,
+    /// or too small for the domain, is refused by the process as [`ControlStatus::Foreign`].
+    fn load(&mut self, key: &str) -> Result<LoadedModel, ControlStatus>;
+}
+
+/// A model as far as its process has to know it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LoadedModel {
+    /// Hash of the contract that it was trained for.
+    pub contract: u64,
+    /// First 16 bytes of its id.
+    pub id: [u8; 16],
+    /// Most entities that it takes.
+    pub entities_max: usize,
+    /// Most subtasks that it takes.
+    pub tasks_max: usize,
+}
+
+impl LoadedModel {
+    fn fits(&self, contract: u64, shape: Shape) -> bool {
+        self.contract == contract
+            && shape.entities <= self.entities_max
+            && shape.tasks <= self.tasks_max
+    }
+}
+
+/// What a process that works with a model ended with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// The world has ended.
+    WithWorld,
+    /// It is to go on with the model that its registry loaded last.
+    ForNextModel,
+}
+
+/// What is needed to judge and to change models while a process runs.
+pub(crate) struct Reloading<'a> {
+    pub(crate) registry: Option<&'a mut dyn Registry>,
+    pub(crate) contract: u64,
+    pub(crate) shape: Shape,
+    /// A model has been loaded that is to be bound.
+    pub(crate) is_due: bool,
+}
+
+impl Reloading<'_> {
+    /// Loads the model of `key`: its id, or what to answer.
+    pub(crate) fn load(&mut self, key: &str) -> Result<[u8; 16], ControlStatus> {
+        let registry = self.registry.as_mut().ok_or(ControlStatus::NotSupported)?;
+        let model = registry.load(key)?;
+        if !model.fits(self.contract, self.shape) {
+            return Err(ControlStatus::Foreign);
+        }
+        self.is_due = true;
+        Ok(model.id)
+    }
+
+    pub(crate) fn ended(&self) -> Ended {
+        if self.is_due { Ended::ForNextModel } else { Ended::WithWorld }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -123,5 +208,10 @@ mod tests {
         for text in ["", "role=world", "pid=5", "role=cook pid=5", "role=world pid=x"] {
             assert_eq!(text.parse::<ProcessInfo>(), Err(NotAProcess), "{text}");
         }
+    }
+
+    #[test]
+    fn the_version_comes_back() {
+        assert_eq!(version(BUILD), env!("CARGO_PKG_VERSION"));
     }
 }

@@ -1,4 +1,4 @@
-//! A flag that ends a process loop, set by signals or by another thread.
+//! When a loop ends and what wakes its wait: a flag set by signals or by another thread, and the clock of the host.
 
 use std::mem::MaybeUninit;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -6,12 +6,10 @@ use std::sync::{Arc, OnceLock};
 use std::{io, ptr};
 
 use rustix::stdio::stderr;
+use rustix::time::{ClockId, clock_gettime};
 use signal_hook::consts::{SIGBUS, SIGHUP, SIGINT, SIGTERM};
 use signal_hook::low_level;
 use sortie_core::link::Clock;
-
-use crate::clock::MonotonicClock;
-use crate::waker::Waker;
 
 /// A signal that follows the first one sooner is the same wish: `timeout`, `npm` and container runners send one to
 /// the process, and another to its group.
@@ -121,4 +119,44 @@ fn explain_bus_errors() -> io::Result<()> {
     };
     // SAFETY: the action is async-signal-safe: two system calls.
     unsafe { low_level::register(SIGBUS, explain) }.map(drop)
+}
+
+/// `CLOCK_MONOTONIC`: survives steps of the wall clock.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct MonotonicClock;
+
+impl Clock for MonotonicClock {
+    fn now_ns(&self) -> u64 {
+        let now = clock_gettime(ClockId::Monotonic);
+        // Neither is negative: the clock starts at boot.
+        now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+    }
+}
+
+/// Ends the wait of a link, or the next one if it does not wait now.
+#[derive(Clone)]
+pub struct Waker(Arc<dyn Fn() + Send + Sync>);
+
+impl Waker {
+    /// `wake` runs in signal handlers: atomic accesses and async-signal-safe system calls only.
+    pub(crate) fn new(wake: impl Fn() + Send + Sync + 'static) -> Self {
+        Self(Arc::new(wake))
+    }
+
+    /// Ends the wait.
+    pub fn wake(&self) {
+        (self.0)();
+    }
+}
+
+impl std::fmt::Debug for Waker {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Waker")
+    }
+}
+
+/// Links whose wait can be ended from outside.
+pub trait Wakeable {
+    /// What ends the wait of this link.
+    fn waker(&self) -> Waker;
 }

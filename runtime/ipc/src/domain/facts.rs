@@ -15,7 +15,6 @@ use super::{BellKind, Domain};
 use crate::error::Error;
 use crate::stop::Stop;
 
-/// The file's name.
 const FILE: &str = "domain.toml";
 /// Pause between two looks for the file.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
@@ -184,12 +183,12 @@ impl DomainFacts {
         } else {
             return self.check_team(domain, contract);
         };
-        Err(Error::Contract {
-            domain: domain.id().to_string(),
-            ours: contract.hash,
-            theirs: self.contract_hash(),
-            detail,
-        })
+        Err(self.other_contract(domain, contract, detail))
+    }
+
+    fn other_contract(&self, domain: &Domain, contract: &DomainContract, detail: String) -> Error {
+        let (ours, theirs) = (contract.hash, self.contract_hash());
+        Error::Contract { domain: domain.id().to_string(), ours, theirs, detail }
     }
 
     /// Checks that a process of `contract` is of this domain's team, or joins any.
@@ -238,12 +237,7 @@ impl DomainFacts {
         } else {
             return Ok(());
         };
-        Err(Error::Contract {
-            domain: domain.id().to_string(),
-            ours: contract.hash,
-            theirs: self.contract_hash(),
-            detail,
-        })
+        Err(self.other_contract(domain, contract, detail))
     }
 }
 
@@ -272,7 +266,6 @@ fn short(value: &toml::Value) -> String {
     }
 }
 
-/// Writes the facts.
 pub(super) fn write(domain: &Domain, facts: &DomainFacts) -> Result<(), Error> {
     write_file(domain, FILE, facts)
 }

@@ -1,13 +1,14 @@
-//! Entering and leaving a domain; the last one out removes everything.
+//! Entering and leaving a domain by locks that the kernel frees when their holder dies, however it dies; the last one out
+//! removes everything.
 
-use std::fs::{self, File};
-use std::io;
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{self, Read, Seek, Write};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::facts::{self, DomainContract, DomainFacts};
-use super::{Domain, SHARED_MEMORY, lock, preflight};
-use crate::Lock;
+use super::{Domain, SHARED_MEMORY, preflight};
 use crate::error::Error;
 use crate::stop::Stop;
 
@@ -42,7 +43,7 @@ impl Domain {
         }
         let _starting = self.lock_start()?;
         let path = self.path(ALIVE);
-        let alive = lock::open(&path)?;
+        let alive = open_lock(&path)?;
         if alive.try_lock().is_ok() {
             self.remove_leftovers()?;
             alive.unlock().map_err(Error::io("unlock", &path))?;
@@ -57,7 +58,7 @@ impl Domain {
     fn lock_start(&self) -> Result<Starting, Error> {
         loop {
             preflight::create_directory(self)?;
-            if let Some(file) = lock::wait_for(&self.path(STARTING))? {
+            if let Some(file) = wait_for_lock(&self.path(STARTING))? {
                 return Ok(Starting { _lock: file });
             }
         }
@@ -69,10 +70,11 @@ impl Domain {
     /// A lock of the domain cannot be used.
     pub fn is_alive(&self) -> Result<bool, Error> {
         // Whoever starts looks at the same lock under this one.
-        let Some(_starting) = lock::wait_for_existing(&self.path(STARTING))? else {
+        let starting = self.path(STARTING);
+        let Some(_starting) = wait_to_lock(&starting, existing_lock(&starting)?)? else {
             return Ok(false);
         };
-        let alive = lock::existing(&self.path(ALIVE))?;
+        let alive = existing_lock(&self.path(ALIVE))?;
         Ok(alive.is_some_and(|alive| alive.try_lock().is_err()))
     }
 
@@ -255,4 +257,109 @@ fn ignore_missing(result: io::Result<()>) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         other => other,
     }
+}
+
+/// An exclusive lock on one role. Its file holds the last term and the holder's process id.
+#[derive(Debug)]
+pub struct Lock {
+    _file: File,
+    term: u32,
+}
+
+impl Lock {
+    /// Takes the lock and raises its term.
+    ///
+    /// # Errors
+    /// `Err(Ok(pid))` where another process holds it.
+    pub(super) fn take(path: &Path) -> Result<Result<Self, u64>, Error> {
+        let mut file = open_lock(path)?;
+        match file.try_lock() {
+            Ok(()) => Self::raise_term(file, path).map(Ok),
+            Err(TryLockError::WouldBlock) => {
+                let [_, pid] = read_term(&mut file).map_err(Error::io("read", path))?;
+                Ok(Err(pid))
+            }
+            Err(TryLockError::Error(error)) => Err(Error::io("lock", path)(error)),
+        }
+    }
+
+    /// Waits for the lock, and raises its term if it is wanted then; `None` if not.
+    pub(super) fn wait(path: &Path, is_wanted: &dyn Fn() -> bool) -> Result<Option<Self>, Error> {
+        let file = open_lock(path)?;
+        loop {
+            match file.lock() {
+                Ok(()) if is_wanted() => return Self::raise_term(file, path).map(Some),
+                Ok(()) => return Ok(None),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(Error::io("lock", path)(error)),
+            }
+        }
+    }
+
+    fn raise_term(mut file: File, path: &Path) -> Result<Self, Error> {
+        let [last_term, _] = read_term(&mut file).map_err(Error::io("read", path))?;
+        let term = (last_term as u32).wrapping_add(1).max(1);
+        let pid = u64::from(std::process::id());
+        write_term(&mut file, [u64::from(term), pid]).map_err(Error::io("write", path))?;
+        Ok(Self { _file: file, term })
+    }
+
+    /// The term of this leadership: larger than all before, from 1.
+    pub fn term(&self) -> u32 {
+        self.term
+    }
+}
+
+/// Opens a lock file, creating it for its user only.
+fn open_lock(path: &Path) -> Result<File, Error> {
+    create_lock(path).map_err(Error::io("open", path))
+}
+
+fn create_lock(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.read(true).write(true).create(true).truncate(false).mode(0o600).open(path)
+}
+
+/// Locks `path` exclusively, waiting for it. `None` if the file was removed meanwhile: a domain
+/// was purged, and its lock means nothing any more.
+fn wait_for_lock(path: &Path) -> Result<Option<File>, Error> {
+    wait_to_lock(path, found(path, create_lock(path))?)
+}
+
+/// Opens a lock file, if there is one.
+fn existing_lock(path: &Path) -> Result<Option<File>, Error> {
+    found(path, OpenOptions::new().read(true).write(true).open(path))
+}
+
+fn found(path: &Path, opened: io::Result<File>) -> Result<Option<File>, Error> {
+    match opened {
+        Ok(file) => Ok(Some(file)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(Error::io("open", path)(error)),
+    }
+}
+
+fn wait_to_lock(path: &Path, file: Option<File>) -> Result<Option<File>, Error> {
+    let Some(file) = file else { return Ok(None) };
+    file.lock().map_err(Error::io("lock", path))?;
+    let locked = file.metadata().map_err(Error::io("look at", path))?;
+    let is_same = path.metadata().is_ok_and(|now| now.ino() == locked.ino());
+    Ok(is_same.then_some(file))
+}
+
+/// The two numbers of a lock file; zeros where it is new.
+fn read_term(file: &mut File) -> io::Result<[u64; 2]> {
+    let mut bytes = Vec::new();
+    file.rewind()?;
+    file.take(16).read_to_end(&mut bytes)?;
+    let mut numbers = bytes
+        .chunks_exact(8)
+        .map(|chunk| chunk.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte)));
+    Ok([numbers.next().unwrap_or(0), numbers.next().unwrap_or(0)])
+}
+
+fn write_term(file: &mut File, [term, pid]: [u64; 2]) -> io::Result<()> {
+    file.rewind()?;
+    file.write_all(&term.to_le_bytes())?;
+    file.write_all(&pid.to_le_bytes())
 }

@@ -1,23 +1,20 @@
 //! A domain: one deployment on one host, its paths and its names.
 
-mod bell_kind;
 mod facts;
-mod lock;
 mod membership;
 pub(crate) mod preflight;
 
 use std::env;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
 use sortie_core::identity::fnv1a;
 
-pub use bell_kind::BellKind;
+use crate::error::Error;
+
 pub use facts::{DomainContract, DomainFacts};
 pub(crate) use facts::{nanoseconds, read_file, write_file};
-pub use lock::Lock;
-pub use membership::{Membership, Starting};
-
-use crate::error::Error;
+pub use membership::{Lock, Membership, Starting};
 
 /// Where POSIX shared memory lives, whatever the base directory.
 pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
@@ -30,10 +27,10 @@ const ID_LENGTH: usize = 24;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Domain {
     id: String,
-    uid: u32,
+    pub(crate) uid: u32,
     base: PathBuf,
     /// Of all its shared-memory objects.
-    prefix: String,
+    pub(crate) prefix: String,
 }
 
 impl Domain {
@@ -90,14 +87,8 @@ impl Domain {
         &self.base
     }
 
-    /// Root path of iceoryx2.
     pub(crate) fn iox_root(&self) -> PathBuf {
         self.base.join("iox")
-    }
-
-    /// Prefix of all its shared-memory objects.
-    pub(crate) fn prefix(&self) -> &str {
-        &self.prefix
     }
 
     /// Name of the doorbell's shared-memory object.
@@ -114,10 +105,6 @@ impl Domain {
     /// The directory above, if it is the one that this crate creates for a user's domains.
     pub(crate) fn own_parent(&self) -> Option<&Path> {
         self.base.parent().filter(|parent| parent.ends_with(own_parent(self.uid)))
-    }
-
-    pub(crate) fn uid(&self) -> u32 {
-        self.uid
     }
 
     /// Why the library has failed, as far as that can be known: it does not tell a lack of room from others.
@@ -160,6 +147,24 @@ fn default_parent(uid: u32) -> Result<PathBuf, Error> {
     }
 }
 
+/// What a domain's bells are. All its processes use the same: who listens to the one is not woken by
+/// the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BellKind {
+    /// Counters in shared memory on which the kernel lets processes sleep. Linux only.
+    Doorbell,
+    /// Events of iceoryx2: a socket for each listener.
+    Event,
+}
+
+impl Default for BellKind {
+    /// The doorbell where the system has it.
+    fn default() -> Self {
+        if cfg!(target_os = "linux") { Self::Doorbell } else { Self::Event }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -194,7 +199,7 @@ mod tests {
     fn never_owns_what_belongs_to_a_longer_id() {
         let domain = Domain::under(Path::new("/dev/shm"), "team").unwrap();
         let longer = Domain::under(Path::new("/dev/shm"), "team-2").unwrap();
-        let object = format!("{}123_4.connection", longer.prefix());
+        let object = format!("{}123_4.connection", longer.prefix);
         assert!(longer.owns(&object));
         assert!(!domain.owns(&object));
     }

@@ -54,7 +54,7 @@ pub(crate) fn check_tmpfs(path: &Path) -> Result<(), Error> {
 /// Checks that the socket paths of the domain fit the system's limit.
 pub(crate) fn check_path_length(domain: &Domain) -> Result<(), Error> {
     let root = domain.iox_root();
-    let length = root.as_os_str().as_bytes().len() + domain.prefix().len() + SOCKET_NAME;
+    let length = root.as_os_str().as_bytes().len() + domain.prefix.len() + SOCKET_NAME;
     if length <= SOCKET_PATH {
         return Ok(());
     }
@@ -81,7 +81,7 @@ pub(super) fn create_directory(domain: &Domain) -> Result<(), Error> {
 pub(crate) fn check_ownership(domain: &Domain) -> Result<(), Error> {
     for own in [domain.own_parent(), Some(domain.base())].into_iter().flatten() {
         let Some(found) = metadata(own)? else { continue };
-        if found.uid() != domain.uid() || !found.is_dir() {
+        if found.uid() != domain.uid || !found.is_dir() {
             return Err(foreign(own, found.uid()));
         }
         if found.mode() & OTHERS != 0 {
@@ -96,7 +96,7 @@ pub(crate) fn check_ownership(domain: &Domain) -> Result<(), Error> {
 fn check_parent(domain: &Domain) -> Result<(), Error> {
     let Some(parent) = domain.base().parent() else { return Ok(()) };
     let Ok(found) = fs::metadata(parent) else { return Ok(()) };
-    if ![domain.uid(), ROOT].contains(&found.uid()) {
+    if ![domain.uid, ROOT].contains(&found.uid()) {
         return Err(foreign(parent, found.uid()));
     }
     if found.mode() & WRITE_FOR_OTHERS != 0 && found.mode() & STICKY == 0 {

@@ -12,19 +12,16 @@ use sortie_core::wire::{
 };
 
 use super::bell::LinkBell;
-use super::control::{ControlRx, serve};
-use super::message::{
-    ActionPayload, AllocPayload, FrameHeaderPayload, Message, RequestPayload, StatPayload,
+use super::open::{PendingAnswers, Receiver, RequestClient, RequestServer, Sender, drain, send};
+use super::opener::{FrameReceiver, Opener, WorldFrames};
+use super::services::{
+    self, ActionPayload, AllocPayload, FrameHeaderPayload, LinkSetup, Message, RequestPayload,
+    StatPayload,
 };
-use super::open::{PendingAnswers, Receiver, RequestClient, RequestServer, Sender};
-use super::opener::{FrameReceiver, Opener};
-use super::services;
-use super::setup::LinkSetup;
-use super::world_frames::WorldFrames;
+use super::watcher::{ControlRx, serve};
 use super::{InterProcess, LinkService};
-use crate::clock::MonotonicClock;
 use crate::error::Error;
-use crate::waker::{Wakeable, Waker};
+use crate::stop::{MonotonicClock, Wakeable, Waker};
 
 /// The world's link over shared memory.
 pub struct IoxWorld<S: LinkService = InterProcess> {
@@ -248,25 +245,6 @@ impl<S: LinkService> FrameReader<S> {
         let sample = self.kept.as_ref()?;
         Some(Frame { header: sample.user_header().message(), payload: sample.payload() })
     }
-}
-
-fn drain<S: LinkService, M: Message>(
-    receiver: &Receiver<S, M>,
-    failure: LinkError,
-    take: &mut dyn FnMut(&M::Wire),
-) -> Result<(), LinkError> {
-    while let Some(sample) = receiver.receive().map_err(|_| failure)? {
-        take(sample.payload().message());
-    }
-    Ok(())
-}
-
-fn send<S: LinkService, M: Message>(
-    sender: &Sender<S, M>,
-    failure: LinkError,
-    message: &M::Wire,
-) -> Result<(), LinkError> {
-    sender.send_copy(M::wrap(message)).map(|_| ()).map_err(|_| failure)
 }
 
 impl<S: LinkService> FrameTx for IoxWorld<S> {

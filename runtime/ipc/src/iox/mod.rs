@@ -7,35 +7,28 @@
 //! * ports stay on the thread that made them; processes are spawned, never forked.
 
 mod bell;
-mod control;
-mod event;
 mod inter_process;
 mod links;
-mod message;
 mod open;
 mod opener;
-mod pool;
 mod served;
 mod services;
-mod setup;
 mod watcher;
-mod world_frames;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::{FileDescriptor, FileDescriptorBased};
 use iceoryx2::service::Service;
+
 pub use iceoryx2::service::ipc_threadsafe::Service as AnyThread;
 pub use iceoryx2::service::local_threadsafe::Service as IntraProcess;
-
-pub use control::{ControlRx, IoxControl};
 pub use inter_process::InterProcess;
 pub use links::{Housekeeping, IoxAgent, IoxAllocator, IoxWorld};
 pub(crate) use open::{Cleaner, set_log_level};
 pub(crate) use served::{ServedLink, ServedPresence, ServedSetup, ServedWatcher, served_bytes};
+pub use services::LinkSetup;
 pub(crate) use services::worst_case_bytes;
-pub use setup::LinkSetup;
 pub(crate) use watcher::dead_nodes;
-pub use watcher::{FrameNews, IoxWatcher};
+pub use watcher::{ControlRx, FrameNews, IoxControl, IoxWatcher};
 
 /// The services that links are opened over: [`InterProcess`], whose links stay on their thread; [`AnyThread`], which is
 /// the same to others and takes a message's handle from the heap; or [`IntraProcess`] for threads of one process, with

@@ -13,9 +13,9 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::builder::publish_subscribe as publish_subscribe_builder;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
+use sortie_core::link::LinkError;
 
-use super::message::{AnswerPayload, Message, RequestPayload};
-use super::services::{Control, Topic};
+use super::services::{AnswerPayload, Control, Message, RequestPayload, Topic};
 use super::{InterProcess, LinkService};
 use crate::domain::Domain;
 use crate::error::Error;
@@ -270,6 +270,27 @@ impl Cleaner {
     }
 }
 
+/// Takes all messages that wait.
+pub(super) fn drain<S: LinkService, M: Message>(
+    receiver: &Receiver<S, M>,
+    failure: LinkError,
+    take: &mut dyn FnMut(&M::Wire),
+) -> Result<(), LinkError> {
+    while let Some(sample) = receiver.receive().map_err(|_| failure)? {
+        take(sample.payload().message());
+    }
+    Ok(())
+}
+
+/// Sends one message.
+pub(super) fn send<S: LinkService, M: Message>(
+    sender: &Sender<S, M>,
+    failure: LinkError,
+    message: &M::Wire,
+) -> Result<(), LinkError> {
+    sender.send_copy(M::wrap(message)).map(|_| ()).map_err(|_| failure)
+}
+
 pub(super) fn node<S: LinkService>(domain: &Domain, name: &str) -> Result<Node<S>, Error> {
     NodeBuilder::new()
         .name(&NodeName::new(name).map_err(failed("node name"))?)
@@ -289,7 +310,7 @@ pub(super) fn config(domain: &Domain) -> Result<Config, Error> {
     config.global.node.cleanup_dead_nodes_on_creation = false;
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     config.global.service.cleanup_dead_nodes_on_open = false;
-    config.global.prefix = FileName::new(domain.prefix().as_bytes()).map_err(failed("prefix"))?;
+    config.global.prefix = FileName::new(domain.prefix.as_bytes()).map_err(failed("prefix"))?;
     Ok(config)
 }
 

@@ -1,30 +1,32 @@
-//! Opening the services and ports of a team.
+//! Opening the services and ports of a team, and how a world's frames reach their readers: one for all, or one for each
+//! agent.
 
 use std::fmt::Debug;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
-use sortie_core::wire::{ABI, FrameHead, FrameLayout, Role};
+use sortie_core::link::{FrameBlock, LinkError};
+use sortie_core::wire::{ABI, FrameFormat, FrameHead, FrameHeader, FrameLayout, FrameView, Role};
+use zerocopy::IntoBytes;
 
 use super::LinkService;
-use super::message::{FrameHeaderPayload, Message};
 use super::open::{
     ByteTopic, Bytes, BytesReceiver, BytesSender, Receiver, RequestClient, RequestServer, Sender,
     Services, attributes, failed, node, retry, service_name,
 };
-use super::services::{self, Topic};
-use super::setup::LinkSetup;
+use super::services::{self, FrameHeaderPayload, LinkSetup, Message, Topic};
 use crate::error::Error;
 
 pub(super) type FrameTopic<S> = Bytes<S, FrameHeaderPayload>;
-pub(super) type FrameSender<S> = BytesSender<S, FrameHeaderPayload>;
+type FrameSender<S> = BytesSender<S, FrameHeaderPayload>;
 pub(super) type FrameReceiver<S> = BytesReceiver<S, FrameHeaderPayload>;
 
 /// A node, and what is needed to open services with it.
 pub(super) struct Opener<'a, S: LinkService> {
     node: Node<S>,
-    setup: &'a LinkSetup<'a>,
+    pub(super) setup: &'a LinkSetup<'a>,
     attributes: AttributeVerifier,
 }
 
@@ -34,10 +36,6 @@ impl<'a, S: LinkService> Opener<'a, S> {
         set_log_level_from_env_or(LogLevel::Fatal);
         let node = node(setup.domain, setup.name)?;
         Ok(Self { node, setup, attributes: attributes(setup.format.schema, ABI)? })
-    }
-
-    pub(super) fn setup(&self) -> &'a LinkSetup<'a> {
-        self.setup
     }
 
     pub(super) fn into_node(self) -> Node<S> {
@@ -72,7 +70,7 @@ impl<'a, S: LinkService> Opener<'a, S> {
     }
 
     /// Sends frames of `layout`: the world's, or those of its owner.
-    pub(super) fn frame_sender(&self, layout: &FrameLayout) -> Result<FrameSender<S>, Error> {
+    fn frame_sender(&self, layout: &FrameLayout) -> Result<FrameSender<S>, Error> {
         self.services().bytes_sender(&self.frame_topic(layout.owner()), layout.payload_bytes())
     }
 
@@ -150,6 +148,86 @@ impl<'a, S: LinkService> Opener<'a, S> {
     ) -> Result<T, Error> {
         retry(&self.node, (self.setup.domain, self.setup.format.schema), what, attempt)
     }
+}
+
+/// Writes a frame in place and returns its header.
+type Fill<'a> = &'a mut dyn FnMut(&mut [u8]) -> Result<FrameHeader, LinkError>;
+
+/// The frame topics of a world.
+pub(super) struct WorldFrames<S: LinkService> {
+    format: FrameFormat,
+    /// All agents' observations: for all in a domain that shares its frames, else for the allocator, if there is one.
+    whole: Option<FrameSender<S>>,
+    /// One topic for each agent of a domain whose frames are private.
+    private: Vec<(FrameLayout, FrameSender<S>)>,
+    /// Where a frame is written that nobody gets as a whole.
+    unsent: Vec<FrameBlock>,
+}
+
+impl<S: LinkService> WorldFrames<S> {
+    pub(super) fn shared(opener: &Opener<'_, S>) -> Result<Self, Error> {
+        let format = opener.setup.format;
+        let whole = Some(opener.frame_sender(&format.layout)?);
+        Ok(Self { format, whole, private: Vec::new(), unsent: Vec::new() })
+    }
+
+    pub(super) fn private(opener: &Opener<'_, S>, has_allocator: bool) -> Result<Self, Error> {
+        let format = opener.setup.format;
+        let whole = has_allocator.then(|| opener.frame_sender(&format.layout)).transpose()?;
+        let shape = format.layout.shape();
+        let of_agent = |agent| {
+            let layout = FrameLayout::private(shape, agent)?;
+            Ok((layout, opener.frame_sender(&layout)?))
+        };
+        let private = (0..shape.agents).map(of_agent).collect::<Result<_, Error>>()?;
+        let blocks = format.layout.payload_bytes() / size_of::<FrameBlock>();
+        let blocks = if has_allocator { 0 } else { blocks };
+        Ok(Self { format, whole, private, unsent: vec![FrameBlock::zeroed(); blocks] })
+    }
+
+    pub(super) fn update_connections(&self) {
+        let senders = self.private.iter().map(|(_, sender)| sender).chain(&self.whole);
+        for sender in senders {
+            // A connection that fails is tried again at the next heartbeat.
+            let _ = sender.update_connections();
+        }
+    }
+
+    /// Sends one frame; each agent's own part of it where frames are private.
+    pub(super) fn send(&mut self, fill: Fill<'_>) -> Result<(), LinkError> {
+        let Self { format, whole, private, unsent } = self;
+        let Some(whole) = whole else {
+            let header = fill(unsent.as_mut_bytes())?;
+            return send_parts(private, &header, unsent.as_bytes(), format);
+        };
+        let bytes = format.layout.payload_bytes();
+        let mut sample = whole.loan_slice(bytes).map_err(|_| LinkError::Frames)?;
+        let header = fill(sample.payload_mut())?;
+        send_parts(private, &header, sample.payload(), format)?;
+        *sample.user_header_mut() = FrameHeaderPayload::wrap(&header);
+        sample.send().map(drop).map_err(|_| LinkError::Frames)
+    }
+}
+
+/// Cuts a frame that was just written.
+fn send_parts<S: LinkService>(
+    private: &[(FrameLayout, FrameSender<S>)],
+    header: &FrameHeader,
+    payload: &[u8],
+    format: &FrameFormat,
+) -> Result<(), LinkError> {
+    if private.is_empty() {
+        return Ok(());
+    }
+    let view = FrameView::new(header, payload, format).map_err(LinkError::Frame)?;
+    for (layout, sender) in private {
+        let loaned = sender.loan_slice(layout.payload_bytes());
+        let mut sample = loaned.map_err(|_| LinkError::Frames)?;
+        let header = view.write_private(layout, sample.payload_mut()).map_err(LinkError::Frame)?;
+        *sample.user_header_mut() = FrameHeaderPayload::wrap(&header);
+        sample.send().map_err(|_| LinkError::Frames)?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]

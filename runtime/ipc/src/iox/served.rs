@@ -10,19 +10,17 @@ use sortie_core::wire::{
     ABI, ControlRep, ControlReq, MessageError, ObservationHead, Role, ServedFormat, StatMsg,
 };
 
-use super::control::{ControlRx, IoxControl, serve};
-use super::message::{Message as _, StatPayload};
 use super::open::{
     ByteTopic, BytesReceiver, BytesSender, Receiver, RequestServer, Sender, Services, attributes,
-    failed, node,
+    drain, failed, node,
 };
-use super::services::{self, Topic};
-use super::watcher::Bells;
+use super::services::{self, Message as _, StatPayload, Topic};
+use super::watcher::{Bells, ControlRx, IoxControl, serve};
 use super::{InterProcess, LinkService};
 use crate::domain::Domain;
 use crate::doorbell::Doorbell;
 use crate::error::Error;
-use crate::waker::Waker;
+use crate::stop::Waker;
 
 type Message<S> = Sample<S, [u8], ()>;
 
@@ -167,10 +165,7 @@ impl ServedWatcher {
 
 impl StatRx for ServedWatcher {
     fn receive_statuses(&mut self, take: &mut dyn FnMut(&StatMsg)) -> Result<(), LinkError> {
-        while let Some(sample) = self.statuses.receive().map_err(|_| LinkError::Statuses)? {
-            take(sample.payload().message());
-        }
-        Ok(())
+        drain(&self.statuses, LinkError::Statuses, take)
     }
 }
 

@@ -1,9 +1,16 @@
-//! The table of all services. Every process opens them with these numbers and no others, so that
-//! it does not matter who comes first.
+//! The table of all services, and what passes over them. Every process opens them with these numbers and no others, so
+//! that it does not matter who comes first.
 
-use sortie_core::wire::{FrameLayout, Role};
+use std::time::Duration;
 
-use crate::domain::DomainFacts;
+use iceoryx2::prelude::ZeroCopySend;
+use sortie_core::wire::{
+    ActionMsg, AllocMsg, ControlRep, ControlReq, FrameFormat, FrameHeader, FrameLayout, Role,
+    StatMsg,
+};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, transmute, transmute_ref};
+
+use crate::domain::{BellKind, Domain, DomainFacts};
 use crate::error::Error;
 
 /// One publish-subscribe service.
@@ -189,4 +196,66 @@ fn worst_case_bytes_of(layout: &FrameLayout, private: Option<&FrameLayout>) -> u
     let statuses = (agents + 2) * status_bytes(statuses(agents));
     let answers = (agents + 2) * control_bytes(control(agents));
     (frames + private + actions + allocations + statuses + answers) as u64
+}
+
+/// What a link is opened with.
+#[derive(Clone, Copy, Debug)]
+pub struct LinkSetup<'a> {
+    /// The domain, which this process has entered.
+    pub domain: &'a Domain,
+    /// Its frames.
+    pub format: FrameFormat,
+    /// Name of the process's node and ports.
+    pub name: &'a str,
+    /// How its processes wake each other.
+    pub bell: BellKind,
+    /// How long waits linger before they sleep; with doorbells only.
+    pub linger: Duration,
+}
+
+/// A wire message inside an iceoryx2 payload: named, and marked as sendable by its own trait, which cannot be
+/// implemented for types of another crate.
+pub(super) trait Message: ZeroCopySend + std::fmt::Debug + Copy + 'static {
+    type Wire;
+
+    fn wrap(message: &Self::Wire) -> Self;
+    fn message(&self) -> &Self::Wire;
+}
+
+macro_rules! message {
+    ($payload:ident, $wire:ident, $name:literal, $words:literal) => {
+        #[doc = concat!("Payload `", $name, "`.")]
+        #[derive(
+            Clone, Copy, Debug, ZeroCopySend, FromBytes, IntoBytes, Immutable, KnownLayout,
+        )]
+        #[repr(C)]
+        #[repr(align(64))]
+        #[type_name($name)]
+        pub(super) struct $payload([u64; $words]);
+
+        impl Message for $payload {
+            type Wire = $wire;
+
+            fn wrap(message: &$wire) -> Self {
+                transmute!(*message)
+            }
+
+            fn message(&self) -> &$wire {
+                transmute_ref!(self)
+            }
+        }
+    };
+}
+
+message!(ActionPayload, ActionMsg, "sortie.ActionMsg.v1", 8);
+message!(AllocPayload, AllocMsg, "sortie.AllocMsg.v1", 16);
+message!(StatPayload, StatMsg, "sortie.StatMsg.v1", 64);
+message!(RequestPayload, ControlReq, "sortie.ControlReq.v1", 8);
+message!(AnswerPayload, ControlRep, "sortie.ControlRep.v1", 32);
+message!(FrameHeaderPayload, FrameHeader, "sortie.FrameHeader.v1", 8);
+
+impl Default for FrameHeaderPayload {
+    fn default() -> Self {
+        Self::wrap(&FrameHeader::default())
+    }
 }

@@ -1,21 +1,24 @@
-//! The link of a supervisor: keeps all services open, and sees what passes.
+//! How a domain is looked after from outside: requests to its processes, and the link of a supervisor.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::*;
 use sortie_core::NO_ACTION;
 use sortie_core::link::{AllocRx, LinkError, StatRx, StatTx};
 use sortie_core::wire::{
-    ABI, ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameView, Role, StatMsg,
+    ABI, ActionMsg, AllocMsg, ControlRep, ControlReq, FrameFormat, FrameHeader, FrameView, Role,
+    StatMsg,
 };
 use zerocopy::FromZeros;
 
-use super::message::{ActionPayload, AllocPayload, Message, StatPayload};
-use super::open::{Receiver, Sender, config};
+use super::open::{Receiver, RequestClient, RequestServer, Sender, config, drain, send};
 use super::opener::{FrameReceiver, FrameTopic, Opener};
-use super::setup::LinkSetup;
-use super::{InterProcess, LinkService, services};
+use super::services::{
+    self, ActionPayload, AllocPayload, AnswerPayload, LinkSetup, Message, RequestPayload,
+    StatPayload,
+};
+use super::{InterProcess, LinkService};
 use crate::domain::{BellKind, Domain};
 use crate::doorbell::Doorbell;
 use crate::error::Error;
@@ -127,8 +130,7 @@ impl<S: LinkService> IoxWatcher<S> {
                 runner: pid,
                 ..ActionMsg::new_zeroed()
             };
-            let sent = self.actions.send_copy(ActionPayload::wrap(&goodbye));
-            sent.map_err(|_| LinkError::Actions)?;
+            send(&self.actions, LinkError::Actions, &goodbye)?;
         }
         self.bells.ring(Role::World)
     }
@@ -136,7 +138,7 @@ impl<S: LinkService> IoxWatcher<S> {
 
 impl<S: LinkService> Bells<S> {
     pub(super) fn open(opener: &Opener<'_, S>) -> Result<Self, Error> {
-        let setup = opener.setup();
+        let setup = opener.setup;
         Ok(match setup.bell {
             BellKind::Doorbell => {
                 Self::Doorbell(Doorbell::open(setup.domain, Role::Watcher, Duration::ZERO)?)
@@ -178,25 +180,95 @@ fn notifiers<S: LinkService>(opener: &Opener<'_, S>) -> Result<Vec<(Role, Notifi
 
 impl<S: LinkService> AllocRx for IoxWatcher<S> {
     fn receive_allocations(&mut self, take: &mut dyn FnMut(&AllocMsg)) -> Result<(), LinkError> {
-        while let Some(sample) = self.allocations.receive().map_err(|_| LinkError::Allocations)? {
-            take(sample.payload().message());
-        }
-        Ok(())
+        drain(&self.allocations, LinkError::Allocations, take)
     }
 }
 
 impl<S: LinkService> StatRx for IoxWatcher<S> {
     fn receive_statuses(&mut self, take: &mut dyn FnMut(&StatMsg)) -> Result<(), LinkError> {
-        while let Some(sample) = self.statuses.receive().map_err(|_| LinkError::Statuses)? {
-            take(sample.payload().message());
-        }
-        Ok(())
+        drain(&self.statuses, LinkError::Statuses, take)
     }
 }
 
 impl<S: LinkService> StatTx for IoxWatcher<S> {
     fn send_status(&mut self, status: &StatMsg) -> Result<(), LinkError> {
-        let sent = self.own_status.send_copy(StatPayload::wrap(status));
-        sent.map(drop).map_err(|_| LinkError::Statuses)
+        send(&self.own_status, LinkError::Statuses, status)
+    }
+}
+
+/// Pause between two looks for answers.
+const LOOK_EVERY: Duration = Duration::from_millis(1);
+
+/// Links whose process is told what to do.
+pub trait ControlRx {
+    /// Answers all requests that wait. Returns whether there was one.
+    fn answer_requests(&mut self, answer: &mut dyn FnMut(&ControlReq) -> ControlRep) -> bool;
+}
+
+/// A process goes on whatever happens to who asks: what fails here is not answered.
+pub(super) fn serve<S: LinkService>(
+    server: &RequestServer<S>,
+    answer: &mut dyn FnMut(&ControlReq) -> ControlRep,
+) -> bool {
+    let mut is_asked = false;
+    while let Ok(Some(request)) = server.receive() {
+        is_asked = true;
+        let _ = request.send_copy(AnswerPayload::wrap(&answer(request.payload().message())));
+    }
+    is_asked
+}
+
+/// Tells the processes of a domain what to do.
+pub struct IoxControl<S: LinkService = InterProcess> {
+    client: RequestClient<S>,
+    bells: Bells<S>,
+    /// Dropped last.
+    _node: Node<S>,
+}
+
+impl<S: LinkService> IoxControl<S> {
+    /// Opens the service and the bells.
+    ///
+    /// # Errors
+    /// Shared memory cannot be used, or the domain runs another schema.
+    pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
+        let opener = Opener::new(setup)?;
+        let bells = Bells::open(&opener)?;
+        Ok(Self::new(opener.control_client()?, bells, opener.into_node()))
+    }
+
+    pub(super) fn new(client: RequestClient<S>, bells: Bells<S>, node: Node<S>) -> Self {
+        Self { client, bells, _node: node }
+    }
+
+    /// Asks all processes, and waits until all have answered, `patience` at most.
+    ///
+    /// # Errors
+    /// The request could not be sent.
+    pub fn ask(
+        &mut self,
+        request: &ControlReq,
+        patience: Duration,
+    ) -> Result<Vec<ControlRep>, Error> {
+        let sent = self.client.send_copy(RequestPayload::wrap(request));
+        let pending = sent.map_err(|error| Error::SharedMemory {
+            what: "sortie/1/ctl".to_string(),
+            problem: format!("{error:?}"),
+        })?;
+        for role in [Role::World, Role::Runner, Role::Allocator] {
+            self.bells.ring(role)?;
+        }
+        let until = Instant::now() + patience;
+        let mut answers = Vec::new();
+        loop {
+            while let Ok(Some(answer)) = pending.receive() {
+                answers.push(*answer.payload().message());
+            }
+            let is_complete = answers.len() >= pending.number_of_server_connections();
+            if is_complete || Instant::now() >= until {
+                return Ok(answers);
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
     }
 }

@@ -7,11 +7,11 @@ use sortie_core::wire::{AnswerHead, AnswerStatus, ObservationHead, Reason, Serve
 
 use super::schema::ServedFacts;
 use super::{Expected, Fallback, PolicySchema};
-use crate::clock::MonotonicClock;
 use crate::domain::{Domain, Lock, Membership, nanoseconds};
 use crate::error::Error;
 use crate::iox::{AnyThread, InterProcess, LinkService, ServedLink, ServedSetup, served_bytes};
 use crate::processes::{HEARTBEAT_NS, LINGER};
+use crate::stop::MonotonicClock;
 
 /// Pause between two looks for a server.
 const LOOK_EVERY: Duration = Duration::from_millis(10);

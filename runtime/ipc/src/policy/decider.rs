@@ -1,11 +1,10 @@
-//! What decides on what messages carry, with the memory that it needs.
+//! What runs a policy that is served, and decides on what messages carry with the memory that it needs.
 
 use sortie_core::choose::{masked_argmax, masked_sample};
+use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::wire::Reason;
 
-use super::engine::Engine;
 use super::schema::{MOST_PORTS, PolicySchema};
-use crate::random::Random;
 
 /// An engine with the recurrent state of the policy that it runs.
 pub(super) struct Decider<'e> {
@@ -82,5 +81,79 @@ impl<'e> Decider<'e> {
             Some(random) => masked_sample(scores, available, (random.draw() >> 32) as u32),
         };
         Ok(Some(decision.map_err(Reason::from)?.action))
+    }
+}
+
+/// What runs a policy: its plan, or whatever else gives the same outputs.
+pub trait Engine {
+    /// Writes all outputs, in the schema's order, and replaces the recurrent states, which lie one behind the other.
+    ///
+    /// # Errors
+    /// Why it cannot: the states are as before then. [`Reason::NonFinite`] where an input, a state or an output is no
+    /// finite number.
+    fn respond(
+        &mut self,
+        inputs: &[&[f32]],
+        states: &mut [f32],
+        outputs: &mut [&mut [f32]],
+    ) -> Result<(), Reason>;
+
+    /// First 16 bytes of its network's id.
+    fn model(&self) -> [u8; 16];
+
+    /// Whether it runs the network's graph: it allocates, and promises nothing about bits or time.
+    fn is_graph(&self) -> bool {
+        false
+    }
+
+    /// Brings near what it reads.
+    fn warm(&mut self) {}
+}
+
+/// A plan with its arena. A decision takes nothing from the heap.
+pub(super) struct PlanEngine<'p> {
+    plan: &'p Plan<'p>,
+    arena: AlignedBytes,
+}
+
+impl<'p> PlanEngine<'p> {
+    pub(super) fn new(plan: &'p Plan<'p>) -> Self {
+        Self { plan, arena: AlignedBytes::zeroed(plan.arena_bytes()) }
+    }
+}
+
+impl Engine for PlanEngine<'_> {
+    fn respond(
+        &mut self,
+        inputs: &[&[f32]],
+        states: &mut [f32],
+        outputs: &mut [&mut [f32]],
+    ) -> Result<(), Reason> {
+        self.plan.respond(self.arena.as_mut_slice(), inputs, states, outputs).map_err(Reason::from)
+    }
+
+    fn model(&self) -> [u8; 16] {
+        self.plan.header().source.first_chunk().copied().unwrap_or_default()
+    }
+
+    fn warm(&mut self) {
+        self.plan.warm();
+    }
+}
+
+/// SplitMix64 (Steele, Lea and Flood, 2014).
+#[derive(Clone, Debug)]
+struct Random(u64);
+
+impl Random {
+    fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    fn draw(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        mixed ^ (mixed >> 31)
     }
 }

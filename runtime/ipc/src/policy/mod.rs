@@ -2,17 +2,11 @@
 
 mod client;
 mod decider;
-mod engine;
-mod fallback;
-mod presence;
 mod schema;
-mod served;
 mod server;
 
 pub use client::{Action, ClientCounters, ClientSettings, PolicyClient};
-pub use engine::Engine;
-pub use fallback::Fallback;
+pub use decider::Engine;
 pub(crate) use schema::ServedFacts;
-pub use schema::{Expected, PolicySchema, Port};
-pub use served::{ServeCounters, Served};
-pub use server::{PolicyServer, ServeSettings};
+pub use schema::{Expected, Fallback, PolicySchema, Port};
+pub use server::{PolicyServer, ServeCounters, ServeSettings, Served};

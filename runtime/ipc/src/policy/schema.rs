@@ -1,5 +1,8 @@
-//! What a served policy takes and gives, stated by its server in a file of the domain.
+//! What a served policy takes and gives, stated by its server in a file of the domain, and what is done where it does not
+//! answer.
 
+use std::fmt;
+use std::str::FromStr;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -7,11 +10,9 @@ use sortie_core::identity::fnv1a;
 use sortie_core::plan::{Network, Plan};
 use sortie_core::wire::{ABI, ServedFormat};
 
-use super::Fallback;
 use crate::domain::{Domain, nanoseconds, read_file, write_file};
 use crate::error::Error;
 
-/// The file's name.
 const FILE: &str = "policy.toml";
 /// Most inputs, and most outputs.
 pub(super) const MOST_PORTS: usize = 32;
@@ -198,7 +199,6 @@ fn first_difference(what: &str, here: &[(&str, usize)], there: &[Port]) -> Optio
     })
 }
 
-/// What a server states.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ServedFacts {
     abi: u16,
@@ -245,6 +245,81 @@ impl ServedFacts {
 
 fn other(domain: &Domain, detail: String) -> Error {
     Error::OtherPolicy { domain: domain.id().to_string(), detail }
+}
+
+/// What is done where the policy does not answer, or not in time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(into = "String", try_from = "String")]
+pub enum Fallback {
+    /// The last outputs and the last action once more; zeros before the first.
+    #[default]
+    Hold,
+    /// Outputs of zeros, action 0.
+    Zero,
+    /// This action, and outputs of zeros.
+    Action(u16),
+}
+
+impl Fallback {
+    /// Replaces the last outputs; returns the action. One that is not available gives way to the first that is;
+    /// `None` where none is, or the policy does not choose.
+    pub(super) fn apply(
+        self,
+        outputs: &mut [f32],
+        last: Option<u16>,
+        available: &[u16],
+    ) -> Option<u16> {
+        let wanted = match self {
+            Self::Hold => last,
+            Self::Zero => Some(0),
+            Self::Action(action) => Some(action),
+        };
+        if self != Self::Hold {
+            outputs.fill(0.0);
+        }
+        let is_available = |action: &u16| available.get(usize::from(*action)) > Some(&0);
+        let first = || (0..).zip(available).find(|(_, code)| **code != 0).map(|(action, _)| action);
+        wanted.filter(is_available).or_else(first)
+    }
+}
+
+impl fmt::Display for Fallback {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Hold => f.write_str("hold"),
+            Self::Zero => f.write_str("zero"),
+            Self::Action(action) => write!(f, "{action}"),
+        }
+    }
+}
+
+impl FromStr for Fallback {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text {
+            "hold" => Ok(Self::Hold),
+            "zero" => Ok(Self::Zero),
+            number => number
+                .parse()
+                .map(Self::Action)
+                .map_err(|_| "expected `hold`, `zero`, or the number of an action"),
+        }
+    }
+}
+
+impl From<Fallback> for String {
+    fn from(fallback: Fallback) -> Self {
+        fallback.to_string()
+    }
+}
+
+impl TryFrom<String> for Fallback {
+    type Error = &'static str;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
 }
 
 #[cfg(test)]
@@ -310,5 +385,32 @@ mod tests {
         let facts = ServedFacts::new(schema(), Duration::from_millis(2), Fallback::Action(3));
         facts.write(&domain).unwrap();
         assert_eq!(ServedFacts::read(&domain).unwrap(), Some(facts));
+    }
+
+    #[test]
+    fn a_fallback_is_available_or_gives_way() {
+        let apply = |fallback: Fallback, last, available: &[u16]| {
+            let mut outputs = [1.0, 2.0];
+            (fallback.apply(&mut outputs, last, available), outputs)
+        };
+        let (held, zeros) = ([1.0, 2.0], [0.0; 2]);
+        assert_eq!(apply(Fallback::Hold, Some(2), &[1, 1, 1]), (Some(2), held));
+        assert_eq!(apply(Fallback::Hold, Some(2), &[0, 1, 0]), (Some(1), held));
+        assert_eq!(apply(Fallback::Hold, None, &[0, 1, 1]), (Some(1), held));
+        assert_eq!(apply(Fallback::Zero, Some(2), &[1, 1, 1]), (Some(0), zeros));
+        assert_eq!(apply(Fallback::Action(1), Some(2), &[1, 1, 1]), (Some(1), zeros));
+        assert_eq!(apply(Fallback::Action(9), Some(2), &[0, 0, 1]), (Some(2), zeros));
+        assert_eq!(apply(Fallback::Action(1), None, &[0, 0]), (None, zeros));
+        assert_eq!(apply(Fallback::Hold, None, &[]), (None, held));
+    }
+
+    #[test]
+    fn a_fallback_is_read_as_it_is_written() {
+        for fallback in [Fallback::Hold, Fallback::Zero, Fallback::Action(3)] {
+            assert_eq!(fallback.to_string().parse(), Ok(fallback));
+        }
+        for text in ["", "still", "-1", "70000"] {
+            assert!(text.parse::<Fallback>().is_err(), "{text}");
+        }
     }
 }

@@ -2,25 +2,25 @@
 
 use std::time::Duration;
 
+use serde::Serialize;
 use sortie_core::link::Clock;
 use sortie_core::plan::Plan;
+use sortie_core::roles::{Counters, Identity, Presence};
 use sortie_core::wire::{
-    AnswerHead, AnswerStatus, ObservationHead, ObservationView, Reason, ServedFormat, StatMsg,
+    AnswerHead, AnswerStatus, Command, ControlStatus, ObservationHead, ObservationView, Reason,
+    Role, ServedFormat, StatMsg,
 };
 
-use super::decider::Decider;
-use super::engine::{Engine, PlanEngine};
-use super::presence::ServerPresence;
+use super::decider::{Decider, Engine, PlanEngine};
 use super::schema::ServedFacts;
-use super::served::{ServeCounters, Served};
 use super::{Fallback, PolicySchema};
-use crate::clock::MonotonicClock;
 use crate::domain::{Domain, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{ControlRx, ServedLink, ServedPresence, ServedSetup, served_bytes};
-use crate::processes::{Caretaker, HEARTBEAT_NS, LINGER, answer};
+use crate::process_info::{BUILD, ProcessInfo};
+use crate::processes::{Caretaker, Controlled, HEARTBEAT_NS, LINGER, answer};
 use crate::real_time::RealTime;
-use crate::stop::Stop;
+use crate::stop::{MonotonicClock, Stop};
 
 /// What a server is started with, beside its plan.
 #[derive(Clone, Copy, Debug)]
@@ -143,7 +143,7 @@ impl PolicyServer {
         stop: &Stop,
     ) -> Result<(), Error> {
         let mut kept_house_ns = MonotonicClock.now_ns();
-        while !stop.is_set() && !told.is_over() {
+        while !stop.is_set() && !told.is_over {
             let token = self.link.token();
             let mut newest = None;
             while let Some(message) = self.link.receive()? {
@@ -282,4 +282,122 @@ fn head(status: AnswerStatus, reason: Reason, action: Option<u16>) -> AnswerHead
         server: std::process::id(),
         ..AnswerHead::default()
     }
+}
+
+/// A server as others see it.
+struct ServerPresence {
+    presence: Presence,
+    identity: Identity,
+    schema: u64,
+    /// Number of the newest observation, in its session.
+    newest: u64,
+    /// Of requests: what is counted of observations stands elsewhere.
+    counters: Counters,
+    /// It was told to end.
+    is_over: bool,
+}
+
+impl ServerPresence {
+    fn new(engine: &dyn Engine, schema: u64) -> Self {
+        let identity = Identity {
+            model: engine.model(),
+            is_graph: engine.is_graph(),
+            build: BUILD,
+            ..Identity::new(std::process::id(), "policy")
+        };
+        Self {
+            presence: Presence::default(),
+            identity,
+            schema,
+            newest: 0,
+            counters: Counters::default(),
+            is_over: false,
+        }
+    }
+
+    fn note(&mut self, served: &Served) {
+        self.newest = served.seq;
+        self.presence.note(served.wake_ns, served.decide_ns);
+    }
+
+    /// The next status, with `flags`.
+    fn tell(&mut self, met: &ServeCounters, flags: u32, now_ns: u64) -> StatMsg {
+        let counters = Counters {
+            ticks: met.answered + met.fallbacks,
+            frame_gaps: met.missed,
+            late: met.late,
+            fallbacks: met.fallbacks,
+            schema_rejects: met.refused + self.counters.schema_rejects,
+            // The first one took nobody's place.
+            restarts_seen: met.sessions.saturating_sub(1),
+            ..self.counters
+        };
+        let domain = (self.schema, Role::Runner);
+        let told = self.presence.tell(&self.identity, domain, &counters, flags, now_ns);
+        StatMsg { last_tick: self.newest, ..told }
+    }
+}
+
+impl Controlled for ServerPresence {
+    fn schema(&self) -> u64 {
+        self.schema
+    }
+
+    fn tick(&self) -> u64 {
+        self.newest
+    }
+
+    fn info(&self) -> ProcessInfo {
+        ProcessInfo { serves: true, ..ProcessInfo::new(Role::Runner, &self.identity) }
+    }
+
+    fn counters_mut(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+
+    fn obey(&mut self, command: Command, _: &str) -> ControlStatus {
+        match command {
+            Command::ShutDown => {
+                self.is_over = true;
+                ControlStatus::Done
+            }
+            // Another policy takes or gives something else: its server is started instead.
+            Command::ReloadModel => ControlStatus::NotSupported,
+            _ => ControlStatus::NotMine,
+        }
+    }
+}
+
+/// What a server did since its start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct ServeCounters {
+    /// Answers of the policy, late ones among them.
+    pub answered: u64,
+    /// Answers of the policy after the deadline.
+    pub late: u64,
+    /// Observations on which it could not decide.
+    pub fallbacks: u64,
+    /// Messages that are no observations of this policy.
+    pub refused: u64,
+    /// Observations that newer ones overtook.
+    pub missed: u64,
+    /// Clients that came.
+    pub sessions: u64,
+    /// Times that the recurrent state began anew.
+    pub resets: u64,
+    /// Answers that could not be sent.
+    pub failed_sends: u64,
+}
+
+/// One observation that was answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Served {
+    /// Its number in the session, from 1.
+    pub seq: u64,
+    /// What became of it.
+    pub status: AnswerStatus,
+    /// From its sending to this process running.
+    pub wake_ns: u64,
+    /// The decision alone.
+    pub decide_ns: u64,
 }

@@ -1,5 +1,7 @@
 //! An allocator process: one of a domain leads, the others stand by, ready to take over.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use sortie_core::roles::{
@@ -8,17 +10,13 @@ use sortie_core::roles::{
 use sortie_core::wire::{Command, ControlStatus, Role};
 use sortie_core::{Allocator, Shape};
 
-use super::candidacy::Candidacy;
-use super::control::Controlled;
-use super::parent::Parent;
-use super::{Process, ProcessSettings, WORLD_PATIENCE, drive};
+use super::children::Parent;
+use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive};
 use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAllocator, LinkSetup};
-use crate::process_info::ProcessInfo;
-use crate::registry::{Ended, Registry, Reloading};
-use crate::stop::Stop;
-use crate::waker::Wakeable;
+use crate::process_info::{Ended, ProcessInfo, Registry, Reloading};
+use crate::stop::{Stop, Wakeable, Waker};
 
 /// How long an allocator that has stepped down leaves the lead to others.
 const REST: Duration = Duration::from_millis(500);
@@ -130,7 +128,6 @@ impl AllocatorProcess {
     }
 }
 
-/// An allocator at work.
 struct Allocating<'a, 'r> {
     role: &'a mut AllocatorRole,
     allocator: &'a mut dyn Allocator,
@@ -238,5 +235,65 @@ pub(crate) fn into_error(error: AllocatorError) -> Error {
     match error {
         AllocatorError::Link(error) => Error::Link(error),
         other => Error::Allocator(other),
+    }
+}
+
+/// A process that waits for a lock on a thread of its own: the kernel hands the lock on the moment that its holder dies,
+/// however it dies. Dropped, it no longer wants it: the thread stays behind until the lock comes, and lets it go at once.
+struct Candidacy {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    is_withdrawn: AtomicBool,
+    outcome: Mutex<Option<Result<Lock, Error>>>,
+}
+
+impl Candidacy {
+    /// Calls `wait_for_lock` on a thread, after a rest; `waker` tells when there is something to [`Self::take`].
+    fn start(
+        wait_for_lock: impl FnOnce(&dyn Fn() -> bool) -> Result<Option<Lock>, Error> + Send + 'static,
+        rest: Duration,
+        waker: Waker,
+    ) -> Result<Self, Error> {
+        let shared =
+            Arc::new(Shared { is_withdrawn: AtomicBool::new(false), outcome: Mutex::new(None) });
+        let waiting = Arc::clone(&shared);
+        let wait = move || {
+            let is_wanted = || !waiting.is_withdrawn.load(Ordering::SeqCst);
+            std::thread::sleep(rest);
+            if !is_wanted() {
+                return;
+            }
+            if let Some(outcome) = wait_for_lock(&is_wanted).transpose() {
+                let mut told = waiting.outcome();
+                // Under the guard: a withdrawal comes before, or empties it after.
+                *told = is_wanted().then_some(outcome);
+                drop(told);
+                waker.wake();
+            }
+        };
+        let builder = std::thread::Builder::new().name("candidacy".into());
+        builder.spawn(wait).map_err(Error::io("start", "candidacy"))?;
+        Ok(Self { shared })
+    }
+
+    /// The lock, once.
+    fn take(&self) -> Result<Option<Lock>, Error> {
+        self.shared.outcome().take().transpose()
+    }
+}
+
+impl Drop for Candidacy {
+    fn drop(&mut self) {
+        self.shared.is_withdrawn.store(true, Ordering::SeqCst);
+        self.shared.outcome().take();
+    }
+}
+
+impl Shared {
+    /// What is stored is whole at any time, so a panic elsewhere spoils nothing.
+    fn outcome(&self) -> MutexGuard<'_, Option<Result<Lock, Error>>> {
+        self.outcome.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -1,41 +1,31 @@
 //! The roles as processes: locks, link, loop, goodbye.
 
 mod allocator;
-mod candidacy;
-mod caretaker;
 mod children;
-mod context_switches;
-mod control;
-mod fill;
-mod grouping;
-mod parent;
 mod runner;
 mod world;
 
-pub(crate) use allocator::into_error as into_allocator_error;
-pub(crate) use caretaker::Caretaker;
-pub(crate) use control::{Controlled, answer};
-pub(crate) use world::into_error as into_world_error;
-
+use std::fs::File;
+use std::os::unix::fs::FileExt;
 use std::time::Duration;
 
 use sortie_core::link::{Bell, Clock, Wake};
-use sortie_core::roles::{Identity, Poll};
+use sortie_core::roles::{Counters, Identity, Poll};
+use sortie_core::wire::{Command, ControlRep, ControlReq, ControlStatus};
 
-pub use allocator::{AllocatorProcess, allocator_process};
-pub use children::Children;
-pub use fill::Fill;
-pub use grouping::group_agents;
-pub use runner::{RunnerProcess, runner_process, runner_process_with_heuristic};
-pub use world::{WorldSettings, world_process, world_process_with_fill};
-
-use self::context_switches::ContextSwitches;
-use crate::build::BUILD;
 use crate::error::Error;
-use crate::iox::{ControlRx, Housekeeping};
+use crate::iox::{ControlRx, Housekeeping, set_log_level};
+use crate::process_info::{BUILD, ProcessInfo};
 use crate::real_time::RealTime;
-use crate::stop::Stop;
-use crate::waker::Wakeable;
+use crate::stop::{Stop, Wakeable};
+
+pub(crate) use allocator::into_error as into_allocator_error;
+pub use allocator::{AllocatorProcess, allocator_process};
+pub(crate) use children::Caretaker;
+pub use children::{Children, group_agents};
+pub use runner::{RunnerProcess, runner_process, runner_process_with_heuristic};
+pub(crate) use world::into_error as into_world_error;
+pub use world::{Fill, WorldSettings, world_process, world_process_with_fill};
 
 /// Longest wait for a bell, so that signals and missed wake-ups are noticed.
 pub(crate) const HEARTBEAT_NS: u64 = 100_000_000;
@@ -150,7 +140,7 @@ fn run<P: Process>(process: &mut P, link: &mut P::Link, stop: &Stop) -> Result<(
             Poll::Answered if is_due => continue,
             Poll::Answered => u64::MAX,
             Poll::Wait { until_ns } => {
-                if link.answer_requests(&mut |request| control::answer(process, request)) {
+                if link.answer_requests(&mut |request| answer(process, request)) {
                     if process.changes_model() {
                         return Ok(());
                     }
@@ -172,5 +162,78 @@ fn run<P: Process>(process: &mut P, link: &mut P::Link, stop: &Stop) -> Result<(
             process.counters_mut().bell_timeouts += 1;
             unrung = Some(token);
         }
+    }
+}
+
+/// A process that can be told what to do.
+pub(crate) trait Controlled {
+    /// Hash of the domain's contract and shape.
+    fn schema(&self) -> u64;
+
+    /// The newest tick that it knows.
+    fn tick(&self) -> u64;
+
+    fn info(&self) -> ProcessInfo;
+
+    fn counters_mut(&mut self) -> &mut Counters;
+
+    /// Obeys a command of its role, to which `text` belongs.
+    fn obey(&mut self, command: Command, text: &str) -> ControlStatus;
+}
+
+/// Obeys a request, if it is this process that is meant.
+pub(crate) fn answer(process: &mut impl Controlled, request: &ControlReq) -> ControlRep {
+    let status = status(process, request);
+    let answer = request.answer(process.schema(), status, process.tick());
+    answer.with_text(&process.info().to_string())
+}
+
+fn status(process: &mut impl Controlled, request: &ControlReq) -> ControlStatus {
+    if !request.fits(process.schema()) {
+        process.counters_mut().schema_rejects += 1;
+        return ControlStatus::Foreign;
+    }
+    if request.arg != 0 && request.arg != std::process::id() {
+        return ControlStatus::NotMine;
+    }
+    match Command::from_number(request.cmd) {
+        None => ControlStatus::NotSupported,
+        Some(Command::Info) => ControlStatus::Done,
+        Some(Command::SetLogLevel) if set_log_level(request.arg64) => ControlStatus::Done,
+        Some(Command::SetLogLevel) => ControlStatus::BadArgument,
+        Some(command) => process.obey(command, request.text()),
+    }
+}
+
+/// Where Linux tells it; other systems do not.
+const THREAD_STATUS: &str = "/proc/thread-self/status";
+const SWITCHES: &str = "nonvoluntary_ctxt_switches:";
+
+/// The counter of the thread that opened it.
+struct ContextSwitches(Option<File>);
+
+impl ContextSwitches {
+    fn of_this_thread() -> Self {
+        Self(File::open(THREAD_STATUS).ok())
+    }
+
+    /// Involuntary switches so far, if the system tells.
+    fn count(&self) -> Option<u64> {
+        // The kernel's page; the line is the last one.
+        let mut page = [0; 4096];
+        let length = self.0.as_ref()?.read_at(&mut page, 0).ok()?;
+        let text = std::str::from_utf8(page.get(..length)?).ok()?;
+        let line = text.lines().find_map(|line| line.strip_prefix(SWITCHES))?;
+        line.trim().parse().ok()
+    }
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn linux_tells() {
+        assert!(ContextSwitches::of_this_thread().count().is_some());
     }
 }

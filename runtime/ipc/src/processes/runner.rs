@@ -4,14 +4,12 @@ use sortie_core::roles::{Counters, Identity, Poll, RunnerOptions, RunnerRole};
 use sortie_core::wire::{Command, ControlStatus, Role};
 use sortie_core::{Allocator, Policy, Shape};
 
-use super::control::Controlled;
-use super::parent::Parent;
-use super::{Process, ProcessSettings, WORLD_PATIENCE, drive, linger};
+use super::children::Parent;
+use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive, linger};
 use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
-use crate::process_info::ProcessInfo;
-use crate::registry::{Ended, Registry, Reloading};
+use crate::process_info::{Ended, ProcessInfo, Registry, Reloading};
 use crate::stop::Stop;
 
 /// Acts for `agents` of `domain` with `policy`, in this thread, until the world ends. Without a usable
@@ -172,7 +170,6 @@ impl RunnerProcess {
     }
 }
 
-/// A runner at work.
 struct Runner<'a, 'p, 'h, 'r> {
     role: &'a mut RunnerRole,
     policy: &'p mut dyn Policy,

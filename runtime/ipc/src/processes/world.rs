@@ -2,21 +2,19 @@
 
 use std::time::Duration;
 
-use sortie_core::World;
 use sortie_core::roles::{
-    Counters, Identity, Poll, WorldError, WorldObserver, WorldOptions, WorldRole,
+    Counters, Identity, Poll, RunnerOptions, RunnerRole, WorldError, WorldObserver, WorldOptions,
+    WorldRole,
 };
 use sortie_core::wire::{Command, ControlStatus, FrameFormat, Role};
+use sortie_core::{Policy, World};
 
-use super::caretaker::Caretaker;
-use super::control::Controlled;
-use super::fill::{Fill, Filling, both};
-use super::{Children, Process, drive, linger};
-use crate::build::BUILD;
+use super::children::Caretaker;
+use super::{Children, Controlled, Process, drive, linger};
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
 use crate::error::Error;
-use crate::iox::{IoxWorld, LinkSetup, worst_case_bytes};
-use crate::process_info::ProcessInfo;
+use crate::iox::{IoxAgent, IoxWorld, LinkSetup, worst_case_bytes};
+use crate::process_info::{BUILD, ProcessInfo};
 use crate::real_time::RealTime;
 use crate::stop::Stop;
 
@@ -206,7 +204,6 @@ fn play(
     ended.and(told).map(|()| *role.counters())
 }
 
-/// A world at work.
 struct Playing<'a, 'f> {
     role: WorldRole,
     options: WorldOptions,
@@ -274,5 +271,64 @@ pub(crate) fn into_error(error: WorldError) -> Error {
     match error {
         WorldError::Link(error) => Error::Link(error),
         other => Error::World(other),
+    }
+}
+
+/// What acts for agents without a process.
+pub struct Fill<'a> {
+    /// Decides for them.
+    pub policy: &'a mut dyn Policy,
+    /// First 16 bytes of its model's id.
+    pub model: [u8; 16],
+}
+
+/// The runner at work. It takes no seat, so whoever joins finds it free.
+struct Filling<'a> {
+    link: IoxAgent,
+    role: RunnerRole,
+    policy: &'a mut dyn Policy,
+}
+
+impl<'a> Filling<'a> {
+    fn open(
+        fill: Fill<'a>,
+        setup: &LinkSetup<'_>,
+        contract: &DomainContract,
+        facts: &DomainFacts,
+        world: Identity,
+    ) -> Result<Self, Error> {
+        let link = IoxAgent::open_within(&LinkSetup { name: "world/fill", ..*setup })?;
+        let role = RunnerRole::new(RunnerOptions {
+            format: setup.format,
+            identity: Identity { model: fill.model, ..world },
+            agents: 0,
+            subtasks: contract.subtasks,
+            decision_interval: contract.decision_interval,
+            period_ns: facts.period_ns(),
+            safe_action: contract.safe_action,
+        });
+        Ok(Self { link, role, policy: fill.policy })
+    }
+
+    /// Acts for the free seats of the world's current frame, if there are some.
+    fn poll(&mut self, world: &WorldRole) -> Result<Poll, Error> {
+        let free = world.filled();
+        if free == 0 {
+            return Ok(Poll::Wait { until_ns: u64::MAX });
+        }
+        self.role.act_for(free);
+        Ok(self.role.poll(&mut self.link, self.policy)?)
+    }
+}
+
+/// What two roles of one process want next.
+fn both(one: Poll, other: Poll) -> Poll {
+    match (one, other) {
+        (Poll::Ended, _) => Poll::Ended,
+        (Poll::Wait { until_ns: one }, Poll::Wait { until_ns: other }) => {
+            Poll::Wait { until_ns: one.min(other) }
+        }
+        // What the one has sent, the other has to receive.
+        _ => Poll::Again,
     }
 }

@@ -1,14 +1,18 @@
-//! One supervised process: started, reaped, started again.
+//! What a supervisor looks at: processes that it starts and starts again, the leading allocator, itself.
 
 use std::os::fd::OwnedFd;
 use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
-use sortie_core::wire::Role;
+use sortie_core::link::{Clock, LinkError, StatTx};
+use sortie_core::roles::{Counters, Identity, Presence};
+use sortie_core::wire::{Role, StatMsg};
 
 use super::RestartPolicy;
 use crate::error::Error;
+use crate::process_info::BUILD;
+use crate::stop::MonotonicClock;
 
 /// First pause before a process that ended at once is started again; doubled each time.
 const FIRST_PAUSE: Duration = Duration::from_millis(1);
@@ -119,7 +123,6 @@ impl Kept {
         After::Again((FIRST_PAUSE * (1 << self.vain.saturating_sub(1).min(6))).min(LONGEST_PAUSE))
     }
 
-    /// The running process.
     pub(super) fn pid(&self) -> Option<u32> {
         match &self.state {
             State::Running { child, .. } => Some(child.id()),
@@ -155,11 +158,113 @@ impl Kept {
         }
     }
 
-    /// Waits for its end.
     pub(super) fn wait(&mut self) {
         if let State::Running { child, .. } = &mut self.state {
             let _ = child.wait();
         }
         self.state = State::Over;
+    }
+}
+
+/// Questions that a leader may leave unanswered.
+const PATIENCE: u32 = 5;
+
+/// Counts the allocations asked for since the last one that came.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Vigil {
+    answered: u64,
+    asked: u64,
+    missed: u32,
+}
+
+impl Vigil {
+    /// An allocation of this tick was seen.
+    pub(super) fn answered(&mut self, tick: u64) {
+        if tick > self.answered {
+            self.answered = tick;
+            self.missed = 0;
+        }
+    }
+
+    /// The newest tick that asked for an allocation. Some may have passed unseen: it counts too few.
+    pub(super) fn asked(&mut self, decision_tick: u64) {
+        if decision_tick > self.asked {
+            self.asked = decision_tick;
+            self.missed += u32::from(decision_tick > self.answered);
+        }
+    }
+
+    /// Whether a leader has had its chances.
+    pub(super) fn is_silent(&self) -> bool {
+        self.missed >= PATIENCE
+    }
+}
+
+/// A supervisor's statuses so far.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct OwnStatus(Presence);
+
+impl OwnStatus {
+    /// Says hello once, then ten times a second that it is there.
+    pub(super) fn tell(
+        &mut self,
+        link: &mut impl StatTx,
+        schema: u64,
+        restarts: u64,
+    ) -> Result<(), LinkError> {
+        let now_ns = MonotonicClock.now_ns();
+        if !self.0.is_there() {
+            return self.send(link, schema, (StatMsg::HELLO, restarts), now_ns);
+        }
+        if !self.0.is_due(now_ns) {
+            return Ok(());
+        }
+        self.send(link, schema, (0, restarts), now_ns)
+    }
+
+    /// Says goodbye, if it has said hello.
+    pub(super) fn leave(&mut self, link: &mut impl StatTx, schema: u64) -> Result<(), LinkError> {
+        if !self.0.is_there() {
+            return Ok(());
+        }
+        self.send(link, schema, (StatMsg::BYE, 0), MonotonicClock.now_ns())
+    }
+
+    fn send(
+        &mut self,
+        link: &mut impl StatTx,
+        schema: u64,
+        (flags, restarts_seen): (u32, u64),
+        now_ns: u64,
+    ) -> Result<(), LinkError> {
+        let identity = Identity::new(std::process::id(), "supervisor");
+        let identity = Identity { build: BUILD, ..identity };
+        let counters = Counters { restarts_seen, ..Counters::default() };
+        let domain = (schema, Role::Supervisor);
+        link.send_status(&self.0.tell(&identity, domain, &counters, flags, now_ns))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_leader_is_silent_after_five_questions_without_an_answer() {
+        let mut vigil = Vigil::default();
+        for tick in [4, 8, 12, 12, 12, 16] {
+            vigil.asked(tick);
+        }
+        assert!(!vigil.is_silent());
+        vigil.answered(12);
+        for tick in [20, 24, 28, 32] {
+            vigil.asked(tick);
+            vigil.answered(12);
+        }
+        assert!(!vigil.is_silent());
+        vigil.asked(36);
+        assert!(vigil.is_silent());
+        vigil.answered(36);
+        assert!(!vigil.is_silent());
     }
 }

@@ -5,8 +5,6 @@
 //! others, and one that is started again takes over as they die.
 
 mod charge;
-mod own_status;
-mod vigil;
 
 use std::collections::BTreeSet;
 use std::os::fd::OwnedFd;
@@ -20,16 +18,13 @@ use rustix::process::Signal;
 use sortie_core::link::{AllocRx, StatRx};
 use sortie_core::wire::{Role, StatMsg};
 
-pub use charge::Charge;
-use charge::{After, Kept};
-use own_status::OwnStatus;
-use vigil::Vigil;
-
 use crate::domain::{Domain, Membership};
 use crate::error::{Error, ending};
 use crate::iox::{IoxWatcher, LinkSetup};
-use crate::stop::Stop;
-use crate::waker::Waker;
+use crate::stop::{Stop, Waker};
+use charge::{After, Kept, OwnStatus, Vigil};
+
+pub use charge::Charge;
 
 /// Longest pause between two looks at what passes.
 const HEARTBEAT: Duration = Duration::from_millis(100);

@@ -1,22 +1,22 @@
 //! A team in the threads of one process, without shared memory: the newest frame and allocations
 //! are handed on by pointer, and threads park until they are rung.
 
-mod bell;
-mod topics;
-
-use std::sync::Arc;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::Thread;
+use std::time::Duration;
 
 use sortie_core::limits;
 use sortie_core::link::{
-    ActionRx, ActionTx, AllocRx, AllocTx, Bell, Clock, Frame, FrameRx, FrameTx, LinkError, StatRx,
-    StatTx, Wake,
+    ActionRx, ActionTx, AllocRx, AllocTx, Bell, Clock, Frame, FrameBlock, FrameRx, FrameTx,
+    LinkError, StatRx, StatTx, Wake,
 };
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, Role, StatMsg};
+use zerocopy::IntoBytes;
 
-use self::bell::ParkingBell;
-use self::topics::{Allocations, FrameBuffer, Latest, Queue};
-use crate::clock::MonotonicClock;
-use crate::doorbell::{Memory, Wait, ring, wait};
+use crate::doorbell::{Memory, Wait, counted_in_atomics, ring, wait};
+use crate::stop::MonotonicClock;
 
 /// Actions that wait for the world.
 const ACTIONS: usize = 2 * limits::AGENTS;
@@ -262,3 +262,143 @@ macro_rules! waits_for_its_bell {
     )+};
 }
 waits_for_its_bell!(ThreadWorld: World, ThreadAgent: Runner, ThreadAllocator: Allocator);
+
+#[derive(Debug, Default)]
+struct ParkingBell {
+    sequence: AtomicU32,
+    waiters: AtomicU32,
+    patience: AtomicU32,
+    sleepers: Mutex<Vec<Thread>>,
+}
+
+impl ParkingBell {
+    fn sleepers(&self) -> MutexGuard<'_, Vec<Thread>> {
+        self.sleepers.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Memory for ParkingBell {
+    counted_in_atomics!();
+
+    fn sleep(&self, expected: u32, until_ns: u64) {
+        let mut sleepers = self.sleepers();
+        // Under the guard: whoever rings after this empties the list after it.
+        if self.sequence() != expected {
+            return;
+        }
+        sleepers.push(std::thread::current());
+        drop(sleepers);
+        std::thread::park_timeout(Duration::from_nanos(until_ns.saturating_sub(self.now_ns())));
+        let me = std::thread::current().id();
+        self.sleepers().retain(|sleeper| sleeper.id() != me);
+    }
+
+    fn wake_all(&self) {
+        self.sleepers().drain(..).for_each(|sleeper| sleeper.unpark());
+    }
+}
+
+// What threads hand to each other. A lock is held while a pointer or one message is moved, never while a frame is
+// written or read.
+
+#[derive(Clone)]
+struct FrameBuffer {
+    header: FrameHeader,
+    payload: Vec<FrameBlock>,
+}
+
+impl FrameBuffer {
+    fn new(payload_bytes: usize) -> Self {
+        let payload = vec![FrameBlock::zeroed(); payload_bytes.div_ceil(64)];
+        Self { header: FrameHeader::default(), payload }
+    }
+
+    fn frame(&self) -> Frame<'_> {
+        Frame { header: &self.header, payload: self.payload.as_bytes() }
+    }
+
+    fn fill<E>(
+        &mut self,
+        fill: &mut dyn FnMut(&mut [u8]) -> Result<FrameHeader, E>,
+    ) -> Result<(), E> {
+        self.header = fill(self.payload.as_mut_bytes())?;
+        Ok(())
+    }
+}
+
+/// The newest value, and how many there have been.
+struct Latest<T>(Mutex<(u64, Option<T>)>);
+
+impl<T> Default for Latest<T> {
+    fn default() -> Self {
+        Self(Mutex::new((0, None)))
+    }
+}
+
+impl<T: Clone> Latest<T> {
+    fn put(&self, value: T) {
+        let mut slot = whole(&self.0);
+        slot.0 += 1;
+        slot.1 = Some(value);
+    }
+
+    /// The newest value, if it is newer than what `seen` counts.
+    fn newer(&self, seen: &mut u64) -> Option<T> {
+        let slot = whole(&self.0);
+        let is_newer = std::mem::replace(seen, slot.0) < slot.0;
+        slot.1.as_ref().filter(|_| is_newer).cloned()
+    }
+}
+
+/// Messages that wait for their only reader; the oldest gives way.
+struct Queue<T> {
+    waiting: Mutex<VecDeque<T>>,
+    most: usize,
+}
+
+impl<T> Queue<T> {
+    fn new(most: usize) -> Self {
+        Self { waiting: Mutex::new(VecDeque::with_capacity(most)), most }
+    }
+
+    fn push(&self, message: T) {
+        let mut waiting = whole(&self.waiting);
+        if waiting.len() >= self.most {
+            waiting.pop_front();
+        }
+        waiting.push_back(message);
+    }
+
+    fn pop(&self) -> Option<T> {
+        whole(&self.waiting).pop_front()
+    }
+}
+
+/// What the allocators said: the newest message of each, so that none hides another's.
+#[derive(Default)]
+struct Allocations(Mutex<Vec<Arc<Latest<AllocMsg>>>>);
+
+impl Allocations {
+    /// A slot for one more allocator.
+    fn slot(&self) -> Arc<Latest<AllocMsg>> {
+        let slot = Arc::new(Latest::default());
+        whole(&self.0).push(Arc::clone(&slot));
+        slot
+    }
+
+    /// Shows what `seen` does not count yet, one number for each allocator.
+    fn receive(&self, seen: &mut Vec<u64>, take: &mut dyn FnMut(&AllocMsg)) {
+        let slots = whole(&self.0);
+        seen.resize(slots.len(), 0);
+        for (slot, seen) in slots.iter().zip(seen) {
+            if let Some(allocation) = slot.newer(seen) {
+                take(&allocation);
+            }
+        }
+    }
+}
+
+/// What is behind these locks is whole at any time, so a panic elsewhere spoils nothing.
+fn whole<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
