@@ -4,15 +4,13 @@ use sortie_bundle::OwnedObservation;
 use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{Observation, PlanPolicy};
+use sortie_plans::{
+    Comparison, CompileError, Family, OwnedTeamQuery, Standard, compare_agents, magnitude,
+};
 
-use crate::engine::{AgentEngine, TeamValueEngine};
-use crate::graph::inputs::all_finite;
+use crate::graph::inputs::{AgentEngine, TeamValueEngine, all_finite};
 use crate::onnxruntime::{OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue};
 use crate::tract::{TractPolicy, TractTeamValue};
-use sortie_plans::CompileError;
-use sortie_plans::OwnedTeamQuery;
-use sortie_plans::{Comparison, compare_agents, magnitude};
-use sortie_plans::{Family, Standard};
 
 /// An engine that runs the source graph itself.
 #[derive(Clone, Copy, Debug)]

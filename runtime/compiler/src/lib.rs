@@ -10,10 +10,8 @@
 
 mod answer;
 mod compile;
-mod engine;
 mod flat;
 mod graph;
-mod inspect;
 mod judge;
 mod linked;
 mod lower;
@@ -21,12 +19,11 @@ mod matching;
 pub mod onnxruntime;
 mod tract;
 
-pub use answer::answer_compiler;
+pub use answer::{answer_compiler, inspect, inspect_onnx};
 pub use compile::{
     compare_entities_with_graph, compare_proposals_with_graphs, compare_team_values_with_graph,
     compare_with_graph, compile, compile_policy, compile_proposals, compile_rounded,
 };
-pub use inspect::{inspect, inspect_onnx};
 pub use judge::{Judge, judge_agent, judge_team_values};
 pub use linked::{InProcess, LinkedEngines};
 pub use tract::{TractPolicy, TractTeamValue};

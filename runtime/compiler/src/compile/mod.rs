@@ -11,10 +11,6 @@ use sortie_plans::{
     random_observations, random_team_queries, report,
 };
 
-pub use parity::{compare_entities_with_graph, compare_team_values_with_graph, compare_with_graph};
-pub use policy::compile_policy;
-pub use proposals::{compare_proposals_with_graphs, compile_proposals};
-
 use crate::graph::{EntityRoles, Graph, Inputs, ProposalPart, TeamRoles};
 use crate::lower::{
     AgentSizes, Choice, EntitySizes, Origin, assemble, lower_agent, lower_agent_int8,
@@ -22,6 +18,10 @@ use crate::lower::{
 };
 use crate::matching::{AgentLayers, match_agent, match_entities, match_team_value};
 use parity::{entities_against_graph, plan_against_graph, team_values_against_graph};
+
+pub use parity::{compare_entities_with_graph, compare_team_values_with_graph, compare_with_graph};
+pub use policy::compile_policy;
+pub use proposals::{compare_proposals_with_graphs, compile_proposals};
 
 /// Compiles an ONNX file, a network of an agent, of an allocator or over all entities, and proves the plan against it.
 ///

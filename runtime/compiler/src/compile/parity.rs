@@ -11,8 +11,8 @@ use sortie_plans::{
     random_states,
 };
 
-use crate::engine::TeamValueEngine;
 use crate::graph::Graph;
+use crate::graph::inputs::TeamValueEngine;
 use crate::tract::{TractEntities, TractPolicy, TractTeamValue};
 
 /// Compares a plan with the ONNX graph that it was made from.

@@ -5,15 +5,15 @@ use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::{Draw, GumbelDraw};
 use sortie_core::limits;
 use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Program};
+use sortie_plans::{
+    Comparison, CompileError, CompileOptions, Compiled, ProposalFiles, TOLERANCE, cannot_run,
+    magnitude, random_allocation_states, report,
+};
 
 use crate::graph::Graph;
 use crate::lower::{AgentSizes, Choice, Origin, assemble, lower_proposals};
 use crate::matching::match_proposals;
 use crate::tract::TractProposals;
-use sortie_plans::{
-    Comparison, CompileError, CompileOptions, Compiled, ProposalFiles, TOLERANCE, cannot_run,
-    magnitude, random_allocation_states, report,
-};
 
 /// Proposals by which a plan is compared with its graphs.
 const COMPARED: usize = 4;

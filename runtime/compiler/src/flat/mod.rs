@@ -4,32 +4,25 @@
 //! and the same cut file is what engines run.
 
 mod apart;
-mod counts;
-mod drawn;
-mod entities;
 mod facts;
-mod interface;
 mod misread;
 mod nodes;
-mod outputs;
 mod selection;
-mod sizes;
-mod states;
 #[cfg(test)]
 mod tests;
 mod unrolled;
 mod values;
-mod widened;
 
 use sortie_plans::{CompileError, PolicyOptions};
 use tract_onnx::pb;
 use tract_onnx::prelude::*;
 
 use crate::graph::guarded;
-pub(crate) use interface::{Interface, other_values};
 use nodes::cut;
 use selection::Selection;
 use values::{Value, Values, reader};
+
+pub(crate) use facts::{Interface, other_values};
 
 /// A policy, read.
 #[derive(Debug)]
@@ -84,11 +77,11 @@ pub(crate) fn declared(file: &pb::ModelProto) -> Described {
 fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<(pb::ModelProto, Values), CompileError> {
     let mut file = guarded(|| reader().proto_model_for_read(&mut &*onnx))
         .map_err(|reason| CompileError::Unreadable { reason })?;
-    widened::widen(&mut file);
+    misread::widen(&mut file);
     let graph = file.graph.get_or_insert_default();
-    sizes::fix(graph, &options.sizes)?;
-    if options.outputs.iter().any(|output| output.ends_with(drawn::LIKELIEST)) {
-        drawn::take_likeliest(graph);
+    misread::fix(graph, &options.sizes)?;
+    if options.outputs.iter().any(|output| output.ends_with(nodes::LIKELIEST)) {
+        nodes::take_likeliest(graph);
     }
     apart::take_apart(&mut file);
     let values = Values::of(&file);

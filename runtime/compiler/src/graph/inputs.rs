@@ -1,10 +1,11 @@
-//! What the graph of a network gets of an observation or of a team query, whichever engine runs it.
+//! What the graph of a network gets of an observation or of a team query, whichever engine runs it; and the engines that
+//! plans are compared with.
 
 use sortie_core::allocate::TeamQuery;
 use sortie_core::{AllocateError, DecideError, EntityMask, NO_ACTION, Observation};
+use sortie_plans::{CompileError, Rows};
 
 use crate::graph::TeamRoles;
-use sortie_plans::{CompileError, Rows};
 
 /// Columns of an agent's graph.
 #[derive(Clone, Copy, Debug)]
@@ -111,7 +112,7 @@ pub(crate) fn all_finite(values: &[f32]) -> bool {
 }
 
 /// The masks of a team-value graph, in the order of [`TeamRoles::masks`].
-pub(crate) type TeamMasks<'a> = [&'a mut [bool]; 5];
+type TeamMasks<'a> = [&'a mut [bool]; 5];
 
 impl TeamRoles {
     /// The inputs that are masks: present, is_agent, in_task, open, team.
@@ -208,4 +209,51 @@ pub(crate) fn copy_row(
     let from = from.get(start..start + to.len()).filter(|_| to.len() <= stride);
     to.copy_from_slice(from.ok_or(AllocateError::BadLength)?);
     Ok(())
+}
+
+/// An engine with an agent's graph.
+pub(crate) trait AgentEngine {
+    /// The columns of the graph's rows.
+    fn columns(&self) -> AgentColumns;
+
+    /// Writes what the graph gives `[U]`, an agent with memory with an empty one, whatever numbers these are: nothing is
+    /// refused for its values.
+    fn run(
+        &mut self,
+        observation: &Observation<'_>,
+        rows: Rows,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError>;
+}
+
+/// An engine with the team-value graph of an allocator.
+pub(crate) trait TeamValueEngine {
+    /// The inputs of the graph.
+    fn roles(&self) -> TeamRoles;
+
+    /// What the graph gives, whatever number this is.
+    fn run(&mut self, query: &TeamQuery<'_>, rows: Rows) -> Result<f32, AllocateError>;
+}
+
+/// The utilities by the rules of [`sortie_core::Policy`]: what is not a finite number is refused.
+pub(crate) fn checked_utilities(
+    engine: &mut dyn AgentEngine,
+    observation: &Observation<'_>,
+    utilities: &mut [f32],
+) -> Result<(), DecideError> {
+    let columns = engine.columns();
+    columns.check_finite(observation, &columns.rows(observation, Rows::Visible)?)?;
+    engine.run(observation, Rows::Visible, utilities)?;
+    if all_finite(utilities) { Ok(()) } else { Err(DecideError::NonFinite) }
+}
+
+/// The value by the rules of [`sortie_core::allocate::TeamValueNetwork`]: what is not a finite number is refused.
+pub(crate) fn checked_value(
+    engine: &mut dyn TeamValueEngine,
+    query: &TeamQuery<'_>,
+) -> Result<f32, AllocateError> {
+    let roles = engine.roles();
+    roles.check_finite(query, &roles.rows(query, Rows::Visible)?)?;
+    let value = engine.run(query, Rows::Visible)?;
+    if value.is_finite() { Ok(value) } else { Err(AllocateError::NonFinite) }
 }

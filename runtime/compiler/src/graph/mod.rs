@@ -257,15 +257,23 @@ impl Graph {
 
     /// The error that names the node behind `outlet`.
     pub(crate) fn unsupported(&self, outlet: OutletId, hint: &'static str) -> CompileError {
-        let node = self.node(outlet);
-        let facts = self.model.node_input_facts(node.id).unwrap_or_default();
-        let shapes: Vec<String> = facts.iter().map(|fact| shape(fact)).collect();
-        CompileError::Unsupported {
-            node: node.name.clone(),
-            operator: node.op.name().into_owned(),
-            shapes: shapes.join(", "),
-            hint: hint.into(),
-        }
+        unsupported(&self.model, self.node(outlet), hint)
+    }
+}
+
+/// The error that names a node.
+pub(crate) fn unsupported(
+    model: &TypedModel,
+    node: &TypedNode,
+    hint: &'static str,
+) -> CompileError {
+    let facts = model.node_input_facts(node.id).unwrap_or_default();
+    let shapes: Vec<String> = facts.iter().map(|fact| shape(fact)).collect();
+    CompileError::Unsupported {
+        node: node.name.clone(),
+        operator: node.op.name().into_owned(),
+        shapes: shapes.join(", "),
+        hint: hint.into(),
     }
 }
 

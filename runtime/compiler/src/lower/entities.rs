@@ -7,11 +7,10 @@ use sortie_core::internal::ops::{
 };
 use sortie_core::limits;
 use sortie_core::plan::{OPS, ProgramDraft};
-
-use super::agent::{Arena, at_most, by_heads, check_weights, padded_heads, same_sizes};
-use super::layout::Weights;
-use crate::matching::{AllAttention, EntityLayers, EntityStep, Layer};
 use sortie_plans::CompileError;
+
+use super::agent::{Arena, Weights, at_most, by_heads, check_weights, padded_heads, same_sizes};
+use crate::matching::{AllAttention, EntityLayers, EntityStep, Layer};
 
 /// Sizes that the layers do not tell.
 #[derive(Clone, Copy, Debug, Default)]

@@ -6,13 +6,12 @@ use sortie_core::internal::ops::{
 };
 use sortie_core::limits;
 use sortie_core::plan::ProgramDraft;
+use sortie_plans::CompileError;
 
-use super::agent::{at_most, by_heads, check_weights, padded_heads, same_sizes};
-use super::layout::Weights;
+use super::agent::{Weights, at_most, by_heads, check_weights, padded_heads, same_sizes};
 use crate::matching::{
     AllAttention, CriticLayers, Layer, Matrix, ProposalLayers, StepLayers, TrunkLayers,
 };
-use sortie_plans::CompileError;
 
 /// Lowers trunk, step and critic to one program and its weights.
 pub(crate) fn lower_proposals(

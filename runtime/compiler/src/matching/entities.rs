@@ -1,19 +1,18 @@
 //! Networks over all entities: critics, the trunks of allocators (dissertation sections 2.3 and 5.1).
 
 use sortie_core::internal::ops::Members;
+use sortie_plans::{CompileError, Layer};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::change_axes::AxisOp;
 use tract_onnx::tract_core::ops::einsum::EinSum;
 use tract_onnx::tract_core::ops::logic::Iff;
 use tract_onnx::tract_core::ops::nn::{Reduce, Reducer, Softmax};
 
-use super::agent::{match_mixed, match_weights, no_output};
-use super::gru::{is, with};
-use super::linear::{match_layer, match_product_of_two, match_scale};
-use super::team_value::uncast;
+use super::agent::{match_mixed, match_weights, no_output, uncast};
+use super::gru::{is, match_layer, match_product_of_two, match_scale, with};
 use crate::graph::{EntityRoles, Graph};
-use sortie_plans::CompileError;
-use sortie_plans::Layer;
+
+pub(super) const SAME_ROWS: &str = "values are a layer over the same rows";
 
 /// A network over all entities. Value 0 is the embedding, value i + 1 what step i computes.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,7 +41,6 @@ pub(crate) enum EntityStep {
 /// The layers of attention among all entities.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct AllAttention {
-    /// Attention heads.
     pub(crate) heads: usize,
     /// Rows to queries, the scale of the scores included.
     pub(crate) query: Layer,
@@ -76,7 +74,8 @@ struct Matcher<'g> {
 impl Matcher<'_> {
     /// Rows of present entities, sums by group, or one vector.
     fn output(&mut self, outlet: OutletId) -> Result<usize, CompileError> {
-        if let Some(rows) = self.shown(outlet, |mask| self.is(mask, Some(self.roles.present))) {
+        if let Some(rows) = self.graph.shown(outlet, |mask| self.is(mask, Some(self.roles.present)))
+        {
             return self.rows(rows);
         }
         match self.group_sum(outlet) {
@@ -108,15 +107,9 @@ impl Matcher<'_> {
         }
         let (weights, values) = match_mixed(graph, found.input)?;
         let present = graph.input(self.roles.present).ok_or_else(no_output)?;
-        let (logits, heads) = match_weights(graph, weights, present)?;
-        let (query, key, from) = match_all_scores(graph, weights, logits)?;
-        let value = match_layer(graph, values)?;
-        if value.layer.relu || graph.source(value.input) != from {
-            return Err(graph.unsupported(values, "values are a layer over the same rows"));
-        }
-        let (value, output) = (value.layer, found.layer);
-        let attention = Box::new(AllAttention { heads, query, key, value, output });
-        let rows = self.rows(from)?;
+        let (attention, from) =
+            match_all_attention(graph, [weights, values], present, found.layer)?;
+        let (rows, attention) = (self.rows(from)?, Box::new(attention));
         Ok(self.add(outlet, EntityStep::Attend { rows, attention }))
     }
 
@@ -144,8 +137,8 @@ impl Matcher<'_> {
             .graph
             .with_constant(divisor, "Max")
             .filter(|[_, least]| self.graph.uniform(*least) == Some(1.0))?;
-        let counted = uncast(self.graph, self.graph.source(self.sum_of_rows(count)?));
-        let sum = self.sum_of_rows(sum)?;
+        let counted = uncast(self.graph, self.graph.source(self.graph.sum_of_rows(count)?));
+        let sum = self.graph.sum_of_rows(sum)?;
         let (present, is_agent) = (Some(self.roles.present), self.roles.is_agent);
         let present_agents = |mask| {
             let operands = self.graph.operands(mask, "And");
@@ -155,10 +148,10 @@ impl Matcher<'_> {
             })
         };
         if self.is(counted, present) {
-            let rows = self.shown(sum, |mask| self.is(mask, present))?;
+            let rows = self.graph.shown(sum, |mask| self.is(mask, present))?;
             return Some((rows, Members::Present));
         }
-        let rows = self.is(counted, is_agent).then(|| self.shown(sum, present_agents))??;
+        let rows = self.is(counted, is_agent).then(|| self.graph.shown(sum, present_agents))??;
         Some((rows, Members::Agents))
     }
 
@@ -170,23 +163,7 @@ impl Matcher<'_> {
             self.is(belongs, self.roles.groups)
         };
         let rows = if groups(a) { b } else { Some(a).filter(|_| groups(b))? };
-        self.shown(rows, |mask| self.is(mask, Some(self.roles.present)))
-    }
-
-    /// `Where(mask, rows, 0)` with a mask that fits: the rows.
-    fn shown(&self, outlet: OutletId, fits: impl Fn(OutletId) -> bool) -> Option<OutletId> {
-        let node = self.graph.node(outlet);
-        let &[mask, rows, nothing] = node.inputs.as_slice() else { return None };
-        let nothing = self.graph.uniform(nothing) == Some(0.0);
-        (node.op_is::<Iff>() && nothing && fits(mask)).then_some(rows)
-    }
-
-    /// What is summed up over the entities.
-    fn sum_of_rows(&self, outlet: OutletId) -> Option<OutletId> {
-        let node = self.graph.node(outlet);
-        let reduce = node.op_as::<Reduce>()?;
-        let over_rows = reduce.reducer == Reducer::Sum && reduce.axes.as_slice() == [0];
-        node.inputs.first().copied().filter(|_| over_rows)
+        self.graph.shown(rows, |mask| self.is(mask, Some(self.roles.present)))
     }
 
     /// Whether an outlet only reshapes this input.
@@ -206,8 +183,46 @@ impl Matcher<'_> {
     }
 }
 
+impl Graph {
+    /// `Where(mask, rows, 0)` with a mask that fits: the rows.
+    pub(super) fn shown(
+        &self,
+        outlet: OutletId,
+        fits: impl Fn(OutletId) -> bool,
+    ) -> Option<OutletId> {
+        let node = self.node(outlet);
+        let &[mask, rows, nothing] = node.inputs.as_slice() else { return None };
+        let nothing = self.uniform(nothing) == Some(0.0);
+        (node.op_is::<Iff>() && nothing && fits(mask)).then_some(rows)
+    }
+
+    /// What is summed up over the entities.
+    pub(super) fn sum_of_rows(&self, outlet: OutletId) -> Option<OutletId> {
+        let node = self.node(outlet);
+        let reduce = node.op_as::<Reduce>()?;
+        let over_rows = reduce.reducer == Reducer::Sum && reduce.axes.as_slice() == [0];
+        node.inputs.first().copied().filter(|_| over_rows)
+    }
+}
+
+/// The layers of an attention of all rows, and the outlet of the rows.
+pub(super) fn match_all_attention(
+    graph: &Graph,
+    [weights, values]: [OutletId; 2],
+    present: OutletId,
+    output: Layer,
+) -> Result<(AllAttention, OutletId), CompileError> {
+    let (logits, heads) = match_weights(graph, weights, present)?;
+    let (query, key, rows) = match_all_scores(graph, weights, logits)?;
+    let value = match_layer(graph, values)?;
+    if value.layer.relu || graph.source(value.input) != rows {
+        return Err(graph.unsupported(values, SAME_ROWS));
+    }
+    Ok((AllAttention { heads, query, key, value: value.layer, output }, rows))
+}
+
 /// `scale · (q · k)`: the queries with the scale folded in, the keys, and the rows of both.
-pub(super) fn match_all_scores(
+fn match_all_scores(
     graph: &Graph,
     weights: OutletId,
     logits: OutletId,

@@ -3,16 +3,12 @@
 mod agent;
 mod entities;
 mod gru;
-mod linear;
 mod proposals;
-mod team_value;
 
-pub(crate) use agent::{AgentLayers, Step, match_agent};
+pub(crate) use agent::{AgentLayers, Step, match_agent, match_team_value};
 pub(crate) use entities::{AllAttention, EntityLayers, EntityStep, match_entities};
-pub(crate) use gru::GruLayers;
-pub(crate) use linear::as_matrix;
+pub(crate) use gru::{GruLayers, as_matrix};
 pub(crate) use proposals::{
     CriticLayers, ProposalLayers, StepLayers, TrunkLayers, match_proposals,
 };
 pub(crate) use sortie_plans::{Layer, Matrix};
-pub(crate) use team_value::match_team_value;

@@ -1,24 +1,21 @@
 //! The three networks of an allocator that proposes (dissertation section 7.4).
 
+use sortie_plans::{CompileError, Layer, Matrix};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::array::TypedConcat;
 use tract_onnx::tract_core::ops::logic::Iff;
 use tract_onnx::tract_core::ops::nn::{Reduce, Reducer};
 
-use super::agent::{match_mixed, match_weights, no_output};
-use super::entities::{AllAttention, match_all_scores};
-use super::gru::is;
-use super::linear::{
-    bias_values, match_layer, match_product, match_product_of_two, match_scale, terms,
+use super::agent::{match_mixed, no_output, uncast};
+use super::entities::{AllAttention, SAME_ROWS, match_all_attention};
+use super::gru::{
+    bias_values, is, match_layer, match_product, match_product_of_two, match_scale, terms,
 };
-use super::team_value::uncast;
 use crate::graph::{Graph, ProposalPart, ProposalRoles};
-use sortie_plans::{CompileError, Layer, Matrix};
 
 /// Logits of closed subtasks must be at least this small.
 const BLOCKED: f32 = -1.0e9;
 
-/// Trunk, step and critic.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ProposalLayers {
     pub(crate) trunk: TrunkLayers,
@@ -138,10 +135,10 @@ impl Matcher<'_> {
         };
         let shown = match_product_of_two(graph, tasks).and_then(fits);
         let shown = shown.ok_or_else(|| graph.unsupported(tasks, PLACED))?;
-        if !self.sum_of_rows(count).is_some_and(|rows| self.is_placed(rows)) {
+        if !self.graph.sum_of_rows(count).is_some_and(|rows| self.is_placed(rows)) {
             return Err(graph.unsupported(count, PLACED));
         }
-        let attended = self.shown(shown, |mask| self.is_answering(mask));
+        let attended = self.graph.shown(shown, |mask| self.is_answering(mask));
         let attended = attended.ok_or_else(|| graph.unsupported(shown, ANSWERS))?;
         let sees_peers = |visible: OutletId| {
             graph.operands(visible, "And").is_some_and(|[a, b]| {
@@ -207,7 +204,7 @@ impl Matcher<'_> {
             return Err(mean());
         }
         let shown = self.mean_of(found.input).ok_or_else(mean)?;
-        let attended = self.shown(shown, |mask| {
+        let attended = self.graph.shown(shown, |mask| {
             let present_agents = graph.operands(mask, "And");
             present_agents.is_some_and(|both| self.are(both, self.roles.present, self.roles.agent))
         });
@@ -238,7 +235,9 @@ impl Matcher<'_> {
         }
         let of_kind = |agents: bool| {
             move |outlet: OutletId| {
-                self.sum_of_rows(outlet).is_some_and(|rows| self.is_counted_kind(rows, agents))
+                self.graph
+                    .sum_of_rows(outlet)
+                    .is_some_and(|rows| self.is_counted_kind(rows, agents))
             }
         };
         let counts = self.counts(self.sum(counted)?, [&of_kind(true), &of_kind(false)]);
@@ -302,14 +301,9 @@ impl Matcher<'_> {
         let (weights, values) = match_mixed(graph, output.input)?;
         let mask = graph.node(weights).inputs.first().copied().ok_or_else(no_output)?;
         check(mask)?;
-        let (logits, heads) = match_weights(graph, weights, graph.source(mask))?;
-        let (query, key, rows) = match_all_scores(graph, weights, logits)?;
-        let value = match_layer(graph, values)?;
-        if value.layer.relu || output.layer.relu || graph.source(value.input) != rows {
-            return Err(graph.unsupported(values, "values are a layer over the same rows"));
-        }
-        let (value, output) = (value.layer, output.layer);
-        Ok((AllAttention { heads, query, key, value, output }, rows))
+        let present = graph.source(mask);
+        let found = match_all_attention(graph, [weights, values], present, output.layer)?;
+        if found.0.output.relu { Err(graph.unsupported(values, SAME_ROWS)) } else { Ok(found) }
     }
 
     /// What two counts and a constant add, as vectors.
@@ -384,27 +378,11 @@ impl Matcher<'_> {
         let (reciprocal, sum) = if is(self.graph, a, "Recip") { (a, b) } else { (b, a) };
         let divisor = *self.graph.node(reciprocal).inputs.first()?;
         let [count, least] = self.graph.with_constant(divisor, "Max")?;
-        let agents = uncast(self.graph, self.graph.source(self.sum_of_rows(count)?));
+        let agents = uncast(self.graph, self.graph.source(self.graph.sum_of_rows(count)?));
         let fits = is(self.graph, reciprocal, "Recip")
             && self.graph.uniform(least) == Some(1.0)
             && self.is(agents, self.roles.agent);
-        fits.then(|| self.sum_of_rows(sum))?
-    }
-
-    /// `Where(mask, rows, 0)` with a mask that fits: the rows.
-    fn shown(&self, outlet: OutletId, fits: impl Fn(OutletId) -> bool) -> Option<OutletId> {
-        let node = self.graph.node(outlet);
-        let &[mask, rows, nothing] = node.inputs.as_slice() else { return None };
-        let nothing = self.graph.uniform(nothing) == Some(0.0);
-        (node.op_is::<Iff>() && nothing && fits(mask)).then_some(rows)
-    }
-
-    /// What is summed up over the entities.
-    fn sum_of_rows(&self, outlet: OutletId) -> Option<OutletId> {
-        let node = self.graph.node(outlet);
-        let reduce = node.op_as::<Reduce>()?;
-        let over_rows = reduce.reducer == Reducer::Sum && reduce.axes.as_slice() == [0];
-        node.inputs.first().copied().filter(|_| over_rows)
+        fits.then(|| self.graph.sum_of_rows(sum))?
     }
 
     /// `entity_task · Cast(Not(is_agent))`.
@@ -443,7 +421,7 @@ impl Matcher<'_> {
                     || self.is(b, self.roles.present) && self.is_others(a)
             })
         };
-        self.shown(outlet, belongs).is_some_and(|rows| self.is(rows, self.roles.groups))
+        self.graph.shown(outlet, belongs).is_some_and(|rows| self.is(rows, self.roles.groups))
     }
 
     /// The counted rows of agents, or of others.

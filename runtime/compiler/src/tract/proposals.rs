@@ -1,10 +1,11 @@
 //! The source graphs of an allocator that proposes, run by tract: the reference for plans.
 
 use sortie_core::{AllocationState, UNASSIGNED};
+use sortie_plans::CompileError;
 use tract_onnx::prelude::*;
 
+use super::{numbers, ordered};
 use crate::graph::{Graph, ProposalRoles, guarded};
-use sortie_plans::CompileError;
 
 /// Trunk, step and critic, run by tract a proposal at a time. It allocates.
 #[derive(Debug)]
@@ -18,7 +19,6 @@ pub(crate) struct TractProposals {
 pub(crate) struct Judged {
     /// The logarithms of the probabilities `[present agents, T]` that the agents had for every subtask.
     pub(crate) log_pi: Vec<f32>,
-    /// The allocation's value.
     pub(crate) value: f32,
 }
 
@@ -69,13 +69,12 @@ impl TractProposals {
             task => 1_u32.checked_shl(task.into()).unwrap_or(0),
         };
         let over_entities = |roles: &ProposalRoles, belongs: Tensor| {
-            let inputs = [
+            ordered(vec![
                 (roles.entities, entities.clone()),
                 (roles.groups, belongs),
                 (roles.present, present.clone()),
                 (roles.agent, agents.clone()),
-            ];
-            ordered(inputs)
+            ])
         };
         let outputs = trunk.0.run(over_entities(&trunk.1, belongs(&last)?))?;
         let [embedding, task_embedding, task_count] = outputs
@@ -92,7 +91,7 @@ impl TractProposals {
         for agent in (0..state.agents).filter(|agent| state.present.contains(*agent)) {
             let own = embedding.chunks(width.max(1)).nth(agent).unwrap_or_default();
             let roles = &step.1;
-            let inputs = [
+            let inputs = vec![
                 (roles.agent, Tensor::from_shape(&[width], own)?),
                 (roles.entities, Tensor::from_shape(&[tasks, width], &task_embedding)?),
                 (roles.groups, Tensor::from_shape(&[tasks], &task_count)?),
@@ -116,14 +115,4 @@ impl TractProposals {
         let value = outputs.first().map(numbers).transpose()?.unwrap_or_default();
         Ok(Judged { log_pi, value: value.first().copied().unwrap_or(f32::NAN) })
     }
-}
-
-fn numbers(value: &TValue) -> TractResult<Vec<f32>> {
-    Ok(value.to_plain_array_view::<f32>()?.iter().copied().collect())
-}
-
-/// Inputs in the order of the graph.
-fn ordered<const COUNT: usize>(mut inputs: [(usize, Tensor); COUNT]) -> TVec<TValue> {
-    inputs.sort_by_key(|(place, _)| *place);
-    inputs.into_iter().map(|(_, tensor)| tensor.into()).collect()
 }

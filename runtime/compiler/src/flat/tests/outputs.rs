@@ -2,7 +2,7 @@
 
 use sortie_plans::{OutputRole, ValueType};
 
-use crate::flat::outputs::{Kind, Told, role, wanted};
+use crate::flat::selection::{Kind, Told, role, wanted};
 use crate::flat::values::Value;
 
 fn value(name: &str, kind: ValueType, shape: &[usize]) -> Value {

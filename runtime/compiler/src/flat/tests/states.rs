@@ -2,7 +2,7 @@
 
 use sortie_plans::ValueType;
 
-use crate::flat::states::{Pair, find, refuse_hidden};
+use crate::flat::selection::{Pair, find, refuse_hidden};
 use crate::flat::values::{Value, Values};
 
 fn floats(name: &str, shape: &[usize]) -> Value {

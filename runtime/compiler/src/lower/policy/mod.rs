@@ -4,18 +4,13 @@
 //! bias and the ReLU that follow. Reshaping moves no number: a value is a place and its sizes.
 
 mod arrange;
-mod cells;
 mod convolve;
 mod elementwise;
 mod moved;
-mod nearest;
-mod pools;
 mod products;
-mod ranked;
 mod rows;
 mod tidy;
 mod values;
-mod weights;
 
 use std::collections::{HashMap, HashSet};
 
@@ -49,9 +44,8 @@ use tract_onnx::tract_core::ops::source::TypedSource;
 
 use super::agent::{Arena, at_most};
 use crate::flat::FlatGraph;
-use nearest::nearest;
-use values::Values;
-use weights::{PolicyWeights, StoredLayer};
+use moved::nearest;
+use values::{PolicyWeights, StoredLayer, Values};
 
 /// Floats behind the last value.
 const PADDING: u32 = 16;

@@ -1,11 +1,11 @@
 //! What becomes of rows: softmax and reductions.
 
 use sortie_core::internal::ops::{
-    Combination, Flag, Function, Normalise, Op, Place, Reduce, Reduction, Softmax,
+    Combination, Flag, Function, Multiply, Normalise, Op, Place, Reduce, Reduction, Select, Softmax,
 };
 use tract_onnx::prelude::*;
-use tract_onnx::tract_core::ops::nn;
-use tract_onnx::tract_core::ops::nn::{Reducer, SoftmaxKind};
+use tract_onnx::tract_core::ops::array::{CumSum, Topk};
+use tract_onnx::tract_core::ops::nn::{self, Reducer, SoftmaxKind};
 
 use super::arrange::{Dimension, strides};
 use super::values::{Value, numbers};
@@ -83,7 +83,7 @@ impl Lowering<'_> {
     }
 
     /// Rows whose axes were put behind each other, in the value's own order.
-    pub(super) fn restored(
+    fn restored(
         &mut self,
         node: &TypedNode,
         place: Place,
@@ -111,4 +111,154 @@ pub(super) fn rows(shape: &[usize], axes: &[usize]) -> (Vec<usize>, usize) {
     let order: Vec<usize> = others.chain((0..shape.len()).filter(is_column)).collect();
     let columns = axes.iter().filter_map(|axis| shape.get(*axis)).product();
     (order, columns)
+}
+
+/// The most numbers that are taken of a row one after the other.
+const MOST: usize = 16;
+
+impl Lowering<'_> {
+    /// The largest numbers of every row and their places, the largest first: each is closed before the next is looked for.
+    pub(super) fn largest_of_rows(&mut self, node: &TypedNode, top: &Topk) -> Lowered<()> {
+        let value = self.operand(node, 0)?;
+        let shape = self.shape(node, 0)?;
+        let count = shape[top.axis];
+        if count > MOST {
+            return Err(self.unsupported(node, "plans take at most 16 numbers of a row"));
+        }
+        let (order, columns) = rows(&value.shape, &[top.axis]);
+        let mut open = self.permuted(node, &value, &order)?;
+        if !top.largest {
+            open = self.map(Function::Affine, [-1.0, 0.0], open);
+        }
+        let lines = open.len as usize / columns.max(1);
+        let [numbers, places] = [0, 1].map(|_| self.arena.place(lines * count));
+        for index in 0..count {
+            let largest = self.reduced(Reduction::Maximum, columns, open);
+            let place = self.reduced(Reduction::ArgMax, columns, open);
+            for (from, all) in [(largest, numbers), (place, places)] {
+                let to = Place { offset: all.offset + index as u32, len: all.len - index as u32 };
+                self.arrange(node, from, to, &[Dimension { size: lines, from: 1, to: count }])?;
+            }
+            if index + 1 < count {
+                let chosen = self.hot(node, place, columns)?;
+                open = self.chosen(chosen, None, open);
+            }
+        }
+        let mut outputs = [numbers, places];
+        if !top.largest {
+            outputs[0] = self.map(Function::Affine, [-1.0, 0.0], numbers);
+        }
+        for (slot, place) in outputs.into_iter().enumerate().take(node.outputs.len()) {
+            let sizes: Vec<usize> = order.iter().map(|axis| shape[*axis]).collect();
+            let mut back = vec![0; order.len()];
+            order.iter().enumerate().for_each(|(at, axis)| back[*axis] = at);
+            let place = self.permuted(node, &Value { place, shape: sizes }, &back)?;
+            self.give(node, slot, place)?;
+        }
+        Ok(())
+    }
+
+    /// Where a condition holds one value, else the other; none is the lowest number there is.
+    fn chosen(&mut self, condition: Place, yes: Option<Place>, no: Place) -> Place {
+        let yes = yes.unwrap_or_else(|| self.stored(&[f32::MIN]));
+        let to = self.arena.place(condition.len as usize);
+        self.ops.push(Op::Select(Select { condition, yes, no, to }));
+        to
+    }
+
+    /// Sums of a row up to each of its numbers: products with a triangle of ones.
+    pub(super) fn running_sum(&mut self, node: &TypedNode, sum: &CumSum) -> Lowered<()> {
+        let value = self.operand(node, 0)?;
+        let (order, columns) = rows(&value.shape, &[sum.axis]);
+        let left = self.permuted(node, &value, &order)?;
+        let counts = |from: usize, to: usize| {
+            let (before, after) = if sum.reverse { (to, from) } else { (from, to) };
+            before < after || before == after && !sum.exclusive
+        };
+        let places = (0..columns * columns).map(|at| (at / columns, at % columns));
+        let ones: Vec<f32> =
+            places.map(|(from, to)| f32::from(u8::from(counts(from, to)))).collect();
+        let right = self.stored(&ones);
+        let to = self.arena.place(left.len as usize);
+        let [rows, inner] = [left.len as usize / columns.max(1), columns].map(|n| n as u32);
+        self.ops.push(Op::Multiply(Multiply { rows, inner, columns: inner, left, right, to }));
+        let place = self.restored(node, to, &value, &order)?;
+        self.give(node, 0, place)
+    }
+
+    /// The product of every row.
+    fn product_of_rows(
+        &mut self,
+        node: &TypedNode,
+        value: &Value,
+        axes: &[usize],
+    ) -> Lowered<Place> {
+        let (order, columns) = rows(&value.shape, axes);
+        if columns > MOST {
+            return Err(self.unsupported(node, "plans have products of at most 16 numbers"));
+        }
+        let others = order.len() - axes.len();
+        let turned: Vec<usize> = order[others..].iter().chain(&order[..others]).copied().collect();
+        let all = self.permuted(node, value, &turned)?;
+        let lines = all.len / columns.max(1) as u32;
+        let line = |index: usize| Place { offset: all.offset + index as u32 * lines, len: lines };
+        let product = (1..columns).fold(line(0), |product, index| {
+            self.combine(Combination::Multiply, product, line(index))
+        });
+        Ok(product)
+    }
+
+    /// Numbers of a row, each where a computed place says: all others are zeros, and their sum is taken.
+    pub(super) fn picked(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
+        let (value, places) = (self.operand(node, 0)?, self.operand(node, 1)?);
+        let is_apart = |at: usize| at == axis || value.shape[at] == places.shape[at];
+        if value.shape.len() != places.shape.len() || !(0..value.shape.len()).all(is_apart) {
+            return Err(self.unsupported(node, "it takes numbers of some rows only"));
+        }
+        let (order, columns) = rows(&value.shape, &[axis]);
+        let rows_of = self.permuted(node, &value, &order)?;
+        let asked = self.permuted(node, &places, &order)?;
+        let count = places.shape[axis];
+        let place = self.picked_of_rows(node, rows_of, asked, [columns, count])?;
+        let place = self.restored(node, place, &places, &order)?;
+        self.give(node, 0, place)
+    }
+
+    /// The same for rows behind each other, so many numbers of each.
+    fn picked_of_rows(
+        &mut self,
+        node: &TypedNode,
+        from: Place,
+        places: Place,
+        [columns, count]: [usize; 2],
+    ) -> Lowered<Place> {
+        let hot = self.hot(node, places, columns)?;
+        let lines = from.len as usize / columns.max(1);
+        let repeated = self.arena.place(hot.len as usize);
+        let sizes = [lines, count, columns];
+        let (own, steps) = (strides(&sizes), [columns, 0, 1]);
+        let dimensions: Vec<Dimension> =
+            (0..3).map(|at| Dimension { size: sizes[at], from: steps[at], to: own[at] }).collect();
+        self.arrange(node, from, repeated, &dimensions)?;
+        let zeros = self.stored(&[0.0]);
+        let kept = self.arena.place(hot.len as usize);
+        self.ops.push(Op::Select(Select { condition: hot, yes: repeated, no: zeros, to: kept }));
+        Ok(self.reduced(Reduction::Sum, columns, kept))
+    }
+
+    /// Numbers of the last axis, one of every row, where a computed place says.
+    pub(super) fn picked_behind(&mut self, node: &TypedNode, batch: usize) -> Lowered<()> {
+        let (value, places) = (self.operand(node, 0)?, self.operand(node, 1)?);
+        let (before, last) = value.shape.split_at(batch);
+        let is_row = places.shape.starts_with(before)
+            && places.shape[batch..].iter().product::<usize>() == 1;
+        let &[columns] = last else {
+            return Err(self.unsupported(node, "which parts it takes is computed"));
+        };
+        if !is_row {
+            return Err(self.unsupported(node, "which parts it takes is computed"));
+        }
+        let place = self.picked_of_rows(node, value.place, places.place, [columns, 1])?;
+        self.give(node, 0, place)
+    }
 }

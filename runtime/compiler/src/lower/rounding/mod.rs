@@ -8,20 +8,18 @@
 //!
 //! Everything is computed in a fixed order, so that every machine has the same plan.
 
-mod equalise;
-mod moments;
-mod products;
 mod whole;
 
 use std::ops::Range;
 
 use sortie_bundle::Recording;
-use sortie_core::Observation;
+use sortie_core::internal::math::exp;
+use sortie_core::{NO_ACTION, Observation};
+use sortie_plans::CompileError;
 
-use crate::matching::Layer;
-pub(crate) use equalise::equalise;
-use moments::Moments;
-pub(crate) use products::{EMBED, Products, QUERY};
+use crate::lower::agent::{behind_heads, padded_heads, side_by_side};
+use crate::matching::{AgentLayers, Layer, Matrix, Step};
+
 pub(crate) use whole::Rounded;
 
 /// Most observations that are looked at, evenly spread over a recording.
@@ -85,4 +83,330 @@ fn moments(products: &Products, seen: &[Observation<'_>], of: Range<usize>) -> V
         });
     }
     moments
+}
+
+// Scales moved between neighbouring products, so that the weights of one output are of like size.
+//
+// All weights of an output count in the same step, so that the largest decides how coarse the others become. Where
+// one product's outputs are the next one's inputs, with nothing or a ReLU between them, an output may be multiplied and
+// the next product's weights of it divided by the same: the network stays what it is. Powers of two change no bit.
+
+/// Moves scales in a whole network, from the first product to the last.
+pub(crate) fn equalise(products: &mut Products) {
+    let head_width = products.head_width();
+    let inner = products.heads * head_width;
+    let skips = products.layers[products.output()].matrix.inputs > inner;
+    for unit in 0..products.layers[EMBED].matrix.outputs {
+        let takers = products.values().chain([QUERY]).map(|index| (index, unit));
+        let skip = skips.then_some((products.output(), inner + unit));
+        let takers: Vec<(usize, usize)> = takers.chain(skip).collect();
+        let scale = scale(products, &takers);
+        products.layers[EMBED].scale_output(unit, scale);
+        // Scores are products of rows and absorbed keys.
+        products.keys().for_each(|keys| products.layers[keys].scale_output(unit, 1.0 / scale));
+        for (index, input) in takers {
+            products.layers[index].scale_input(input, 1.0 / scale);
+        }
+    }
+    for (head, (keys, values)) in products.keys().zip(products.values()).enumerate() {
+        for unit in 0..head_width {
+            let place = head * head_width + unit;
+            pass(products, (QUERY, place), (keys, unit));
+            // What a narrower head has beyond its width is zero.
+            if unit < products.layers[values].matrix.outputs {
+                pass(products, (values, unit), (products.output(), place));
+            }
+        }
+    }
+    for index in products.output()..products.layers.len() - 1 {
+        for unit in 0..products.layers[index].matrix.outputs {
+            pass(products, (index, unit), (index + 1, unit));
+        }
+    }
+}
+
+/// Moves the scale of an output, `(product, output)`, to the input that it is, `(product, input)`.
+fn pass(products: &mut Products, from: (usize, usize), to: (usize, usize)) {
+    let scale = scale(products, &[to]);
+    products.layers[from.0].scale_output(from.1, scale);
+    products.layers[to.0].scale_input(to.1, 1.0 / scale);
+}
+
+/// The power of two next to the largest weight of an input, in all products that take it; 1 where there is none.
+fn scale(products: &Products, takers: &[(usize, usize)]) -> f32 {
+    let weights = takers.iter().flat_map(|&(index, input)| products.layers[index].of_input(input));
+    let largest = weights.fold(0.0_f32, |largest, weight| largest.max(weight.abs()));
+    if !(1.0e-6..1.0e6).contains(&largest) {
+        return 1.0;
+    }
+    // Without its fraction, a number times the root of two is the power of two that is nearer in ratio.
+    f32::from_bits((largest * std::f32::consts::SQRT_2).to_bits() & 0x7f80_0000)
+}
+
+trait Scaled {
+    fn of_input(&self, input: usize) -> &[f32];
+    fn scale_input(&mut self, input: usize, by: f32);
+    fn scale_output(&mut self, output: usize, by: f32);
+}
+
+impl Scaled for Layer {
+    fn of_input(&self, input: usize) -> &[f32] {
+        let outputs = self.matrix.outputs;
+        &self.matrix.values[input * outputs..(input + 1) * outputs]
+    }
+
+    fn scale_input(&mut self, input: usize, by: f32) {
+        let outputs = self.matrix.outputs;
+        let weights = &mut self.matrix.values[input * outputs..(input + 1) * outputs];
+        weights.iter_mut().for_each(|weight| *weight *= by);
+    }
+
+    fn scale_output(&mut self, output: usize, by: f32) {
+        let weights = self.matrix.values.iter_mut().skip(output).step_by(self.matrix.outputs);
+        weights.chain(self.bias.get_mut(output)).for_each(|weight| *weight *= by);
+    }
+}
+
+/// Sums over the inputs of a product. They are taken in the order of the inputs, in f64, so that every machine has the
+/// same bits.
+#[derive(Clone, Debug)]
+struct Moments {
+    count: usize,
+    sums: Vec<f64>,
+    /// Sums of x_i x_j, `[inputs, inputs]`, of j up to i.
+    products: Vec<f64>,
+}
+
+impl Moments {
+    fn new(inputs: usize) -> Self {
+        Self { count: 0, sums: vec![0.0; inputs], products: vec![0.0; inputs * inputs] }
+    }
+
+    /// Adds one input; one that is too large for a number is left out, as a plan refuses it.
+    fn add(&mut self, input: &[f32]) {
+        if input.iter().any(|value| !value.is_finite()) {
+            return;
+        }
+        self.count += 1;
+        let rows = self.products.chunks_exact_mut(input.len().max(1));
+        for (place, ((value, sum), row)) in input.iter().zip(&mut self.sums).zip(rows).enumerate() {
+            let value = f64::from(*value);
+            if value == 0.0 {
+                continue;
+            }
+            *sum += value;
+            for (product, other) in row.iter_mut().zip(input).take(place + 1) {
+                *product += value * f64::from(*other);
+            }
+        }
+    }
+
+    /// The mean of every input.
+    fn mean(&self) -> Vec<f64> {
+        self.sums.iter().map(|sum| sum / self.count.max(1) as f64).collect()
+    }
+
+    /// The mean of x xᵀ, row by row.
+    fn second(&self) -> Vec<Vec<f64>> {
+        let width = self.sums.len();
+        let at = |row: usize, column: usize| {
+            let (row, column) = (row.max(column), row.min(column));
+            self.products[row * width + column] / self.count.max(1) as f64
+        };
+        (0..width).map(|row| (0..width).map(|column| at(row, column)).collect()).collect()
+    }
+
+    /// The same around the mean: what is left of errors whose mean is made up for.
+    fn around_mean(&self) -> Vec<Vec<f64>> {
+        let (mean, mut moments) = (self.mean(), self.second());
+        for (row, of_row) in moments.iter_mut().zip(&mean) {
+            row.iter_mut().zip(&mean).for_each(|(moment, of_column)| *moment -= of_row * of_column);
+        }
+        moments
+    }
+}
+
+/// The first product, of entities' rows.
+pub(crate) const EMBED: usize = 0;
+
+/// The queries of all heads.
+pub(crate) const QUERY: usize = 1;
+
+/// The products of a network, in the order in which a decision needs them: the embedding, the queries of all heads,
+/// absorbed keys and then values head by head, the attention's output, and what follows it.
+///
+/// Keys and values have no bias. A head takes and gives as many numbers as the plan has for it, those of padding included.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Products {
+    pub(crate) heads: usize,
+    /// Features d; the last action's one-hot follows them, if the embedding has more inputs.
+    features: usize,
+    pub(crate) layers: Vec<Layer>,
+}
+
+impl Products {
+    /// The products of a network of so many features.
+    ///
+    /// # Errors
+    /// The network has a recurrent unit.
+    pub(crate) fn of(network: &AgentLayers, features: usize) -> Result<Self, CompileError> {
+        let heads = network.heads;
+        let width = network.key.outputs / heads;
+        let parts = |matrix: &Matrix| -> Vec<Matrix> {
+            (0..heads).map(|head| matrix.columns(head * width, width)).collect()
+        };
+        let plain = |matrix: Matrix| Layer { bias: vec![0.0; matrix.outputs], relu: false, matrix };
+        let query: Vec<Layer> = parts(&network.query.matrix)
+            .into_iter()
+            .zip(network.query.bias.chunks_exact(width))
+            .map(|(matrix, bias)| Layer { matrix, bias: bias.to_vec(), relu: false })
+            .collect();
+        let keys = parts(&network.key).into_iter().map(|keys| padded_heads(&keys.transposed(), 1));
+        let mut layers = vec![network.embed.clone(), side_by_side(&query)];
+        layers.extend(keys.chain(parts(&network.value)).map(plain));
+        layers.push(behind_heads(network));
+        for step in &network.steps {
+            match step {
+                Step::Dense(layer) => layers.push(layer.clone()),
+                Step::Gru(_) => {
+                    return Err(CompileError::NoInt8 { what: "a recurrent unit (Gru)".into() });
+                }
+            }
+        }
+        Ok(Self { heads, features, layers })
+    }
+
+    /// Absorbed keys, head by head.
+    pub(crate) fn keys(&self) -> Range<usize> {
+        QUERY + 1..QUERY + 1 + self.heads
+    }
+
+    /// Values, head by head.
+    pub(crate) fn values(&self) -> Range<usize> {
+        self.keys().end..self.keys().end + self.heads
+    }
+
+    /// The attention's output, which takes the heads' values, and behind them the own row where there is a skip.
+    pub(crate) fn output(&self) -> usize {
+        self.values().end
+    }
+
+    /// Whether a product has a bias.
+    pub(crate) fn has_bias(&self, index: usize) -> bool {
+        !(self.keys().start..self.values().end).contains(&index)
+    }
+
+    /// Numbers that a head hands to the output.
+    pub(crate) fn head_width(&self) -> usize {
+        self.layers[QUERY].matrix.outputs / self.heads
+    }
+
+    /// Products that do not depend on each other, in order: what one of them is given depends on those before it.
+    fn stages(&self) -> Vec<Range<usize>> {
+        let mut stages = vec![EMBED..QUERY, QUERY..QUERY + 1, self.keys(), self.values()];
+        stages.extend((self.output()..self.layers.len()).map(|index| index..index + 1));
+        stages
+    }
+
+    /// The utilities of an observation, in f32. `note` is told what every product is given. Only products before
+    /// `until` are computed: nothing is returned where that is not all.
+    pub(crate) fn follow(
+        &self,
+        observation: &Observation<'_>,
+        until: usize,
+        mut note: impl FnMut(usize, &[f32]),
+    ) -> Option<Vec<f32>> {
+        let mut product = |index: usize, input: &[f32]| {
+            let layer = self.layers.get(index).filter(|_| index < until)?;
+            note(index, input);
+            Some(layer.apply(input))
+        };
+        let own = observation.self_index;
+        let mut rows = Vec::new();
+        let mut own_row = None;
+        for entity in observation.visible.iter() {
+            let row = product(EMBED, &self.input(observation, entity)?)?;
+            if entity == own {
+                own_row = Some(row.clone());
+            }
+            rows.push(row);
+        }
+        let own_row = match own_row {
+            Some(row) => row,
+            None => product(EMBED, &self.input(observation, own)?)?,
+        };
+        let mixed = match rows.as_slice() {
+            [] => Vec::new(),
+            [only] => vec![only.clone(); self.heads],
+            _ => {
+                let queries = product(QUERY, &own_row)?;
+                let asked = self.keys().zip(queries.chunks_exact(self.head_width()));
+                let absorbed = asked.map(|(keys, query)| product(keys, query));
+                let absorbed: Vec<Vec<f32>> = absorbed.collect::<Option<_>>()?;
+                absorbed.iter().map(|absorbed| mix(&rows, absorbed)).collect()
+            }
+        };
+        let mut answer = Vec::new();
+        for (head, (values, mixed)) in (1..).zip(self.values().zip(&mixed)) {
+            answer.extend(product(values, mixed)?);
+            answer.resize(head * self.head_width(), 0.0);
+        }
+        answer.resize(self.heads * self.head_width(), 0.0);
+        if self.layers[self.output()].matrix.inputs > answer.len() {
+            answer.extend(own_row);
+        }
+        for index in self.output()..self.layers.len() {
+            answer = product(index, &answer)?;
+        }
+        Some(answer)
+    }
+
+    /// An entity's features and last action, if they are numbers.
+    fn input(&self, observation: &Observation<'_>, entity: usize) -> Option<Vec<f32>> {
+        let start = entity * observation.stride;
+        let mut input = observation.rows.get(start..start + self.features)?.to_vec();
+        input.resize(self.layers[EMBED].matrix.inputs, 0.0);
+        let action = observation.last_actions.get(entity).filter(|action| **action != NO_ACTION);
+        if let Some(one) =
+            action.and_then(|action| input.get_mut(self.features + usize::from(*action)))
+        {
+            *one = 1.0;
+        }
+        input.iter().all(|value| value.is_finite()).then_some(input)
+    }
+}
+
+/// Rows, mixed by how well they answer the absorbed query.
+fn mix(rows: &[Vec<f32>], absorbed: &[f32]) -> Vec<f32> {
+    let scores = rows.iter().map(|row| row.iter().zip(absorbed).map(|(a, b)| a * b).sum::<f32>());
+    let scores: Vec<f32> = scores.collect();
+    let largest = scores.iter().copied().fold(f32::MIN, f32::max);
+    let weights: Vec<f32> = scores.iter().map(|score| exp(score - largest)).collect();
+    let sum: f32 = weights.iter().sum();
+    let mut mixed = vec![0.0; absorbed.len()];
+    for (row, weight) in rows.iter().zip(weights) {
+        mixed.iter_mut().zip(row).for_each(|(mixed, value)| *mixed += weight / sum * value);
+    }
+    mixed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn moments_are_those_of_the_inputs() {
+        let mut moments = Moments::new(2);
+        for input in [[1.0, 2.0], [3.0, 0.0], [f32::INFINITY, 1.0], [2.0, -5.0]] {
+            moments.add(&input);
+        }
+        assert_eq!(moments.mean(), [2.0, -1.0]);
+        let third = 1.0 / 3.0;
+        let close = |got: Vec<Vec<f64>>, want: [[f64; 2]; 2]| {
+            let pairs = got.concat().into_iter().zip(want.concat());
+            assert!(pairs.into_iter().all(|(got, want)| (got - want).abs() < 1e-12), "{got:?}");
+        };
+        close(moments.second(), [[14.0 * third, -8.0 * third], [-8.0 * third, 29.0 * third]]);
+        close(moments.around_mean(), [[2.0 * third, -2.0 * third], [-2.0 * third, 26.0 * third]]);
+    }
 }

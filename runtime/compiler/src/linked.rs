@@ -1,17 +1,17 @@
 //! The engines and the compiler of a program that links this crate.
 
-mod onnxruntime;
-
 use std::io;
 use std::path::Path;
 
 use sortie_bundle::{OwnedAllocationState, OwnedObservation, Recording};
-use sortie_core::Policy;
-use sortie_core::allocate::TeamValueNetwork;
+use sortie_core::allocate::proposals::Draw;
+use sortie_core::allocate::{TeamQuery, TeamValueNetwork};
+use sortie_core::{AllocateError, AllocationState, DecideError, Observation, Policy};
 use sortie_plans::{
-    Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, Compiler, Engines, Family,
-    FlatPolicy, GraphEngine, OnnxRuntimeEngine, OnnxRuntimeError, OwnedEntities, OwnedTeamQuery,
-    PolicyOptions, ProposalFiles,
+    BatchedUtilities, BatchedValues, Comparison, CompileError, CompileOptions, Compiled,
+    CompiledPolicy, Compiler, DrawnProposals, Engines, Family, FlatPolicy, GraphEngine,
+    OnnxRuntimeEngine, OnnxRuntimeError, OwnedEntities, OwnedTeamQuery, PolicyOptions,
+    ProposalFiles,
 };
 
 use crate::answer::answer_compiler;
@@ -21,7 +21,10 @@ use crate::compile::{
 };
 use crate::flat::FlatGraph;
 use crate::judge::{Judge, judge_agent, judge_team_values};
-use crate::onnxruntime::{OnnxRuntime, find_library};
+use crate::onnxruntime::{
+    BatchedAgents, BatchedTeamValues, OnnxRuntime, OnnxRuntimeFlatPolicy, OnnxRuntimePolicy,
+    OnnxRuntimeProposals, OnnxRuntimeTeamValue, find_library,
+};
 use crate::tract::{TractFlatPolicy, TractPolicy, TractTeamValue};
 
 /// tract's version, as the lock file pins it.
@@ -152,5 +155,112 @@ impl GraphEngine for Tract {
         families: &[Family<OwnedTeamQuery>],
     ) -> Result<Vec<Comparison>, CompileError> {
         judge_team_values(plan, onnx, Judge::Tract, families)
+    }
+}
+
+impl GraphEngine for OnnxRuntime {
+    fn name(&self) -> &'static str {
+        "onnxruntime"
+    }
+
+    fn version(&self) -> &str {
+        self.version()
+    }
+
+    fn policy(&self, onnx: &[u8], features: usize) -> Result<Box<dyn Policy>, CompileError> {
+        Ok(Box::new(OnnxRuntimePolicy::new(self, onnx, features)?))
+    }
+
+    fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork>, CompileError> {
+        Ok(Box::new(OnnxRuntimeTeamValue::new(self, onnx)?))
+    }
+
+    fn flat_policy(
+        &self,
+        onnx: &[u8],
+        options: &PolicyOptions,
+    ) -> Result<Box<dyn FlatPolicy>, CompileError> {
+        let graph = FlatGraph::read(onnx, options)?;
+        Ok(Box::new(OnnxRuntimeFlatPolicy::from_graph(self, graph)?))
+    }
+
+    fn judge_agent(
+        &self,
+        plan: &[u8],
+        onnx: &[u8],
+        families: &[Family<OwnedObservation>],
+    ) -> Result<Vec<Comparison>, CompileError> {
+        judge_agent(plan, onnx, Judge::OnnxRuntime(self), families)
+    }
+
+    fn judge_team_values(
+        &self,
+        plan: &[u8],
+        onnx: &[u8],
+        families: &[Family<OwnedTeamQuery>],
+    ) -> Result<Vec<Comparison>, CompileError> {
+        judge_team_values(plan, onnx, Judge::OnnxRuntime(self), families)
+    }
+}
+
+impl OnnxRuntimeEngine for OnnxRuntime {
+    fn policy_of_variant(
+        &self,
+        onnx: &[u8],
+        variant: &[u8],
+        features: usize,
+    ) -> Result<Box<dyn Policy>, CompileError> {
+        Ok(Box::new(OnnxRuntimePolicy::of_variant(self, onnx, variant, features)?))
+    }
+
+    fn batched_agents(
+        &self,
+        onnx: &[u8],
+        features: usize,
+    ) -> Result<Box<dyn BatchedUtilities>, CompileError> {
+        Ok(Box::new(BatchedAgents::new(self, onnx, features)?))
+    }
+
+    fn batched_team_values(&self, onnx: &[u8]) -> Result<Box<dyn BatchedValues>, CompileError> {
+        Ok(Box::new(BatchedTeamValues::new(self, onnx)?))
+    }
+
+    fn proposals(
+        &self,
+        files: &ProposalFiles<'_>,
+        entities: usize,
+    ) -> Result<Box<dyn DrawnProposals>, CompileError> {
+        Ok(Box::new(OnnxRuntimeProposals::new(self, files, entities)?))
+    }
+}
+
+impl BatchedUtilities for BatchedAgents {
+    fn utilities(
+        &mut self,
+        frame: &[Observation<'_>],
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.utilities(frame, utilities)
+    }
+}
+
+impl BatchedValues for BatchedTeamValues {
+    fn values(
+        &mut self,
+        queries: &[TeamQuery<'_>],
+        values: &mut [f32],
+    ) -> Result<(), AllocateError> {
+        self.values(queries, values)
+    }
+}
+
+impl DrawnProposals for OnnxRuntimeProposals {
+    fn propose(
+        &mut self,
+        state: &AllocationState<'_>,
+        draw: &mut dyn Draw,
+        values: &mut [f32],
+    ) -> Result<Vec<u8>, AllocateError> {
+        self.propose(state, draw, values)
     }
 }
