@@ -14,8 +14,7 @@ use sortie_core::{DecideError, Decision, Observation, PlanPolicy, Policy, limits
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, policy_by_agent, user_cache};
 
 use crate::arrays::array;
-use crate::bundle_allocator::{Asked, How, allocate};
-use crate::bundle_observations::Observations;
+use crate::bundle_allocator::{Asked, How, Observations, allocate};
 use crate::compiler::{carried, program, to_python};
 use crate::errors::{exceptions, within, words};
 use crate::owned_plan::OwnedPlan;

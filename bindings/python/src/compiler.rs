@@ -1,17 +1,18 @@
-//! ONNX files read by the program that the package carries, in a process of its own.
+//! ONNX files read by the program that the package carries, in a process of its own, and what a plan is made of: a file's
+//! path, or bytes.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::{PyByteArray, PyBytes};
 use serde_json::{Value, json};
 use sortie_bundle::files::{Durability, replace_file};
 use sortie_core::plan::Profile;
-use sortie_plans::{CompileOptions, Compiled, CompilerProcess, PolicyOptions};
+use sortie_plans::{CompileOptions, Compiled, CompilerProcess, PolicyOptions, read_onnx};
 
-use crate::errors::{exceptions, of_file, words};
-use crate::source::Source;
+use crate::errors::{exceptions, of_file, within, words};
 
 /// Why the profile int8 is left to the command line.
 const UNJUDGED: &str = "an int8 plan is judged by recorded observations: make it with `sortie compile --profile int8 --npz FILE`, and open the plan";
@@ -103,4 +104,44 @@ pub(crate) fn compile<'py>(
     let written = py.detach(|| replace_file(&out, &bytes, Durability::Cached));
     written.map_err(|error| of_file(&out, &error))?;
     to_python(py, &json!(report))
+}
+
+/// What every plan starts with.
+const MAGIC: &[u8] = b"SORTIEPL";
+
+/// A file that was read, or bytes that were given.
+pub(crate) struct Source {
+    pub(crate) path: Option<PathBuf>,
+    pub(crate) bytes: Vec<u8>,
+}
+
+impl Source {
+    pub(crate) fn read(given: &Bound<'_, PyAny>) -> PyResult<Self> {
+        if let Ok(bytes) = given.cast::<PyBytes>() {
+            return Ok(Self { path: None, bytes: bytes.as_bytes().to_vec() });
+        }
+        if let Ok(bytes) = given.cast::<PyByteArray>() {
+            return Ok(Self { path: None, bytes: bytes.to_vec() });
+        }
+        let path: PathBuf = given.extract().map_err(|_| {
+            let kind = given.get_type();
+            PyTypeError::new_err(format!(
+                "expected the path or the bytes of a plan or of an ONNX file, not {kind}"
+            ))
+        })?;
+        let bytes =
+            given.py().detach(|| read_onnx(&path)).map_err(|error| of_file(&path, &error))?;
+        Ok(Self { path: Some(path), bytes })
+    }
+
+    /// Whether this is a plan, or meant to be one.
+    pub(crate) fn is_plan(&self) -> bool {
+        let named = self.path.as_deref().and_then(Path::extension).is_some_and(|end| end == "plan");
+        named || self.bytes.starts_with(MAGIC)
+    }
+
+    /// Words about it.
+    pub(crate) fn said(&self, words: String) -> String {
+        within(self.path.as_deref(), words)
+    }
 }

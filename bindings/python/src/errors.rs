@@ -7,7 +7,6 @@ use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::prelude::*;
 use sortie_core::DecideError;
 
-/// The exceptions themselves.
 pub(crate) mod exceptions {
     use pyo3::import_exception;
 

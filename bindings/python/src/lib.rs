@@ -4,8 +4,6 @@
 mod arrays;
 mod bundle;
 mod bundle_allocator;
-mod bundle_observations;
-mod choices;
 mod compiler;
 mod errors;
 mod interface;
@@ -13,7 +11,6 @@ mod owned_plan;
 mod plan;
 mod plan_batch;
 mod policy_client;
-mod source;
 
 use pyo3::pymodule;
 

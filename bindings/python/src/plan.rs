@@ -9,18 +9,16 @@ use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyDict, PyTuple};
 use serde_json::{Value, json};
-use sortie_core::plan::{AlignedBytes, Network};
-use sortie_core::{DecideError, plan::PlanError};
+use sortie_core::DecideError;
+use sortie_core::plan::{AlignedBytes, Network, PlanError};
 use sortie_plans::{OutputRole, PolicyOutput, inspect_plan};
 
 use crate::arrays::{Numbers, array, array_as, flags, mask, numbers, slice};
-use crate::choices::{choices, choices_shape, mask_shape};
-use crate::compiler::{Asked as Options, to_python};
+use crate::compiler::{Asked as Options, Source, to_python};
 use crate::errors::{exceptions, of_decision, words};
-use crate::interface::{Asked, Fit, Interface, fit, shape_as};
+use crate::interface::{Asked, Fit, Interface, choices, choices_shape, fit, mask_shape, shape_as};
 use crate::owned_plan::OwnedPlan;
 use crate::plan_batch::Batch;
-use crate::source::Source;
 
 /// A policy as a plan.
 #[pyclass(frozen, module = "sortie")]

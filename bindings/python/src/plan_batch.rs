@@ -8,9 +8,8 @@ use sortie_core::DecideError;
 use sortie_plans::{OutputRole, PolicyInput};
 
 use crate::arrays::{array, array_as, flags, mask, numbers, slice};
-use crate::choices::{choices, choices_shape, mask_shape};
 use crate::errors::exceptions;
-use crate::interface::{Asked, Fit, Interface, fit, shape_as};
+use crate::interface::{Asked, Fit, Interface, choices, choices_shape, fit, mask_shape, shape_as};
 use crate::owned_plan::OwnedPlan;
 
 /// Copies of all that is given, so that other threads may write to the arrays meanwhile.
