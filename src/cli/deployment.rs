@@ -24,7 +24,11 @@ pub fn open_bundle(folder: &Path) -> Result<Bundle, Failure> {
 fn no_bundle(folder: &Path) -> Option<Failure> {
     let name = folder.display();
     if !folder.exists() {
-        return Some(Failure::new(Exit::Missing, format!("`{name}` does not exist")));
+        let message = format!(
+            "`{name}` does not exist; a bundle is a folder with a `bundle.toml`: those that are shipped lie in \
+             `models/`, `sortie export RUN` makes one"
+        );
+        return Some(Failure::new(Exit::Missing, message));
     }
     let entries = folder.read_dir().into_iter().flatten().flatten();
     let bundles = entries.map(|entry| entry.path()).filter(|path| path.join(MANIFEST).exists());

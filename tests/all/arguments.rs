@@ -68,7 +68,8 @@ fn a_path_need_not_be_text() {
 #[test]
 fn what_is_no_bundle_is_explained() {
     assert_fails(&output(&["inspect", "/nowhere"]), 66, &["`/nowhere` does not exist"]);
-    assert_fails(&output(&["run", "/nowhere"]), 66, &["`/nowhere` does not exist"]);
+    let advice = ["`/nowhere` does not exist", "lie in `models/`", "`sortie export RUN` makes one"];
+    assert_fails(&output(&["run", "/nowhere"]), 66, &advice);
     assert_fails(&output(&["run", "models"]), 66, &["models/save-the-city,", "name one of"]);
     assert_fails(&output(&["run", "docs"]), 66, &["docs", "bundle.toml"]);
 }
