@@ -1,15 +1,22 @@
-//! The grammar of the command line: `sortie VERB [SUBJECT] [--flags]`.
+//! The grammar of the command line: `sortie VERB [SUBJECT] [--flags]`, and what prints it for shells and readers.
 
 use std::ffi::OsString;
+use std::fs;
+use std::path::PathBuf;
 
-use clap::error;
-use clap::{ArgMatches, ColorChoice, Command, CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{
+    ArgMatches, Args, ColorChoice, Command, CommandFactory, FromArgMatches, Parser, Subcommand,
+    error,
+};
+use clap_complete::{Shell, generate};
 
-use crate::failure::Outcome;
+use crate::failure::{Failure, Outcome};
+use crate::output::say;
 use crate::terminal::Color;
+use crate::tools::{self, prefer_tools};
 use crate::{
-    Program, compare, compiler, control, doctor, eval, export, inspect, manual, replay, reproduce,
-    run, serve, tools, train, view,
+    Program, compare, control, doctor, eval, export, inspect, replay, reproduce, run, serve, train,
+    view,
 };
 
 const EXIT_CODES: &str = "\
@@ -109,11 +116,11 @@ pub(crate) enum Verb {
     Inspect(inspect::InspectArguments),
     View(view::ViewArguments),
     #[command(display_order = LAST)]
-    Completions(manual::CompletionsArguments),
+    Completions(CompletionsArguments),
     #[command(display_order = LAST)]
-    Man(manual::ManArguments),
+    Man(ManArguments),
     #[command(hide = true)]
-    Compiler(compiler::CompilerArguments),
+    Compiler(tools::CompilerArguments),
     #[command(hide = true)]
     Process(run::process::ProcessArguments),
 }
@@ -137,9 +144,46 @@ pub(crate) fn dispatch(program: &Program, asked: Asked) -> Outcome {
         Verb::Export(arguments) => export::run(&arguments),
         Verb::Inspect(arguments) => inspect::run(&arguments),
         Verb::View(arguments) => view::run(&arguments),
-        Verb::Completions(arguments) => manual::complete(&arguments, || command(program)),
-        Verb::Man(arguments) => manual::run(&arguments, || command(program)),
-        Verb::Compiler(arguments) => compiler::run(&arguments),
+        Verb::Completions(arguments) => complete(&arguments, || command(program)),
+        Verb::Man(arguments) => write_manual(&arguments, || command(program)),
+        Verb::Compiler(arguments) => tools::answer_compiler(&arguments),
         Verb::Process(arguments) => run::process::run(&arguments),
     }
+}
+
+/// Print the completion script of a shell
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie completions bash > ~/.local/share/bash-completion/completions/sortie
+  sortie completions zsh > ~/.zfunc/_sortie
+  sortie completions fish > ~/.config/fish/completions/sortie.fish")]
+pub(crate) struct CompletionsArguments {
+    /// The shell
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+/// Write a manual page for every verb into a folder
+#[derive(Debug, Args)]
+#[command(after_help = "Example:
+  sortie man ~/.local/share/man/man1    # then: man sortie-train")]
+pub(crate) struct ManArguments {
+    /// The folder; it is made where it is missing
+    folder: PathBuf,
+}
+
+// The whole grammar is the other program's, where it is there.
+fn complete(arguments: &CompletionsArguments, grammar: impl FnOnce() -> Command) -> Outcome {
+    prefer_tools()?;
+    let mut script = Vec::new();
+    generate(arguments.shell, &mut grammar(), "sortie", &mut script);
+    say!("{}", String::from_utf8_lossy(&script).trim_end());
+    Ok(())
+}
+
+fn write_manual(arguments: &ManArguments, grammar: impl FnOnce() -> Command) -> Outcome {
+    prefer_tools()?;
+    let folder = &arguments.folder;
+    fs::create_dir_all(folder).map_err(|error| Failure::file(folder, &error))?;
+    clap_mangen::generate_to(grammar(), folder).map_err(|error| Failure::file(folder, &error))
 }

@@ -12,8 +12,7 @@ use sortie_learn::report::numbers::{count, duration};
 use sortie_learn::report::{self, Comparison, Group, GroupSummary, Reached, RunRecord};
 
 use crate::failure::{Exit, Failure, Outcome};
-use crate::options::Common;
-use crate::output::{Table, print_json, tell};
+use crate::output::{Common, Table, print_json, tell};
 
 /// Compare training runs, several seeds to a label, as tables and pictures
 ///

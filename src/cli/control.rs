@@ -9,14 +9,13 @@ use sortie_core::wire::{Command, ControlStatus};
 use sortie_ipc::{Answer, Domain, Order, control};
 
 use crate::allocation::AllocatorChoice;
-use crate::allocator::DeployedAllocator;
+use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::ENGINE;
 use crate::output::{print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
-use crate::proposals::ProposalArguments;
-use crate::run::registry;
+use crate::run::process;
 
 /// Tell the processes of a running team what to do: say who they are, pause, continue, end, change the leader
 ///
@@ -107,7 +106,7 @@ fn prepare(folder: &Path) -> Result<String, Failure> {
     }
     let name = folder.canonicalize().ok();
     let name = name.as_deref().and_then(Path::file_name).and_then(OsStr::to_str);
-    name.filter(|name| registry::is_key(name)).map(str::to_string).ok_or_else(|| {
+    name.filter(|name| process::is_key(name)).map(str::to_string).ok_or_else(|| {
         let message = "the bundle's folder needs a name of up to 32 letters, digits, `.`, `_`, `-`";
         Failure::new(Exit::Usage, message)
     })
@@ -246,9 +245,10 @@ impl ToldProcess {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use sortie_core::wire::Role;
     use sortie_ipc::ProcessInfo;
+
+    use super::*;
 
     fn answer(status: ControlStatus) -> Answer {
         let process = ProcessInfo {

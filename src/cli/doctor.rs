@@ -5,8 +5,7 @@ use serde::Serialize;
 use sortie_ipc::{Domain, Finding, Severity, examine};
 
 use crate::failure::{Failure, Outcome};
-use crate::options::Common;
-use crate::output::{print_json, say};
+use crate::output::{Common, print_json, say};
 
 /// Say what is wrong with this machine, or with a running domain, and what to do about it
 ///

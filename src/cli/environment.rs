@@ -3,8 +3,12 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use sortie_bundle::{Bundle, Environment};
-use sortie_envs::{Choice, ENVIRONMENTS, Entry, EnvironmentError, Shape, Spec, Split};
+use sortie_bundle::{Bundle, Environment as BundleEnvironment};
+use sortie_envs::{
+    Choice, ENVIRONMENTS, Entry, Environment, EnvironmentError, Random, Shape, Spec, Split,
+};
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::{Act, LearnError, Scenes};
 
 use crate::failure::{Exit, Failure, Outcome};
 
@@ -61,7 +65,6 @@ impl ScenarioSetName {
         Err(Failure::new(Exit::Usage, reason))
     }
 
-    /// The environment.
     pub fn entry(&self) -> &'static Entry {
         self.entry
     }
@@ -72,7 +75,7 @@ impl ScenarioSetName {
     }
 
     /// The environment with one instance, whose episode is over.
-    pub fn open(&self, split: Split) -> Result<Box<dyn sortie_envs::Environment>, Failure> {
+    pub fn open(&self, split: Split) -> Result<Box<dyn Environment>, Failure> {
         self.choose(split, 1).map_err(Failure::bug)
     }
 
@@ -80,7 +83,7 @@ impl ScenarioSetName {
         &self,
         split: Split,
         instances: usize,
-    ) -> Result<Box<dyn sortie_envs::Environment>, EnvironmentError> {
+    ) -> Result<Box<dyn Environment>, EnvironmentError> {
         let settings = BTreeMap::new();
         (self.entry.open)(&Choice { set: Some(&self.set), split, instances, settings: &settings })
     }
@@ -115,8 +118,8 @@ pub fn entry_of(bundle: &Bundle) -> Result<&'static Entry, Failure> {
 }
 
 /// Whether a bundle's environment is built in, in this version; the reason if not.
-pub fn check_known(environment: &Environment) -> Result<(), String> {
-    let Environment { name, version, .. } = environment;
+pub fn check_known(environment: &BundleEnvironment) -> Result<(), String> {
+    let BundleEnvironment { name, version, .. } = environment;
     let known = ScenarioSetName::parse(name).map_err(|failure| failure.message)?;
     if version == known.entry.version {
         return Ok(());
@@ -158,4 +161,45 @@ pub fn check_spec(bundle: &Bundle, spec: &Spec, set: &str) -> Outcome {
         ));
     }
     Ok(())
+}
+
+/// Acts by the environment's script.
+pub(crate) struct Scripted {
+    random: Random,
+    unassigned: Vec<u8>,
+}
+
+impl Scripted {
+    /// The team of an environment in which nobody is allocated; ties are broken by the seed.
+    pub(crate) fn of(
+        name: &ScenarioSetName,
+        environment: &dyn Environment,
+        seed: u64,
+    ) -> Result<Self, Failure> {
+        if environment.spec().shape.tasks > 0 {
+            let message = format!("the scripted team of `{name}` needs somebody who allocates");
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        let unassigned = vec![sortie_core::UNASSIGNED; environment.spec().shape.agents];
+        Ok(Self { random: generator(seed, Purpose::Evaluation, u64::MAX), unassigned })
+    }
+}
+
+impl Act for Scripted {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        let Self { random, unassigned } = self;
+        for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(unassigned.len()))
+        {
+            if !scenes.environment.scripted(scene.state, unassigned, random, actions) {
+                let name = scenes.environment.spec().name;
+                return Err(LearnError::Team(format!("`{name}` has no scripted team")));
+            }
+        }
+        Ok(())
+    }
 }

@@ -1,39 +1,45 @@
 //! `sortie export`: a training run, or a policy of somebody else, becomes a bundle.
 
-mod policy;
-
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 use sortie_bundle::files::check_folder;
-use sortie_bundle::{BundleError, Draft, hex};
-use sortie_envs::Split;
-use sortie_learn::draft::{Measured, MethodRun, draft_method};
+use sortie_bundle::{
+    AGENT, BundleError, CARD, ContractV1, Draft, Golden, Limits, Network, POLICY, POLICY_ROLES,
+    PolicyRoles, hex,
+};
+use sortie_core::Policy;
+use sortie_envs::{Environment, Spec, Split};
+use sortie_learn::draft::{
+    Measured, MethodRun, Recorder, contract, described, draft_method, limits, measured_table,
+};
 use sortie_learn::evaluate::Evaluation;
-use sortie_learn::play;
+use sortie_learn::play::{self, PolicyTeam, evaluate};
 use sortie_learn::run::read_curve;
 use sortie_methods::alma;
 use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate_watched};
 use sortie_methods::alma::export::{check_exportable, draft_bundle};
 use sortie_methods::alma::run::Run;
 use sortie_methods::alma::teams::Allocate;
-use sortie_plans::PolicyOptions;
+use sortie_plans::{
+    CompileError, FlatPolicy, InputRole, PolicyFacts, PolicyInput, PolicyOptions, TeamPolicy,
+    TeamSizes, read_onnx,
+};
 
 use crate::allocation::Allocation;
-use crate::compiler::with_plans;
+use crate::allocator::ProposalArguments;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::PolicyArguments;
 use crate::methods::LearnedMethod;
-use crate::options::Common;
-use crate::output::{print_json, say};
-use crate::progress::{self, CountedEpisodes};
-use crate::proposals::ProposalArguments;
+use crate::output::{Common, print_json, say};
 use crate::seeds::SeedRange;
 use crate::subject::open_run;
-use crate::tools::check_program;
+use crate::terminal::{self, CountedEpisodes};
+use crate::tools::{check_program, compiler, engines, with_plans};
 
 /// Rules that the agents are measured under beside their own allocator.
 const RULES: [&str; 2] = ["coordinated", "heuristic"];
@@ -85,8 +91,8 @@ struct Report {
 pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     check_place(&arguments.out)?;
     check_program()?;
-    if policy::is_policy(&arguments.run) {
-        return policy::export(arguments);
+    if arguments.run.is_file() {
+        return export_policy(arguments);
     }
     if arguments.policy.options() != PolicyOptions::default() {
         let reason = "what is said about a policy's inputs and outputs goes with an ONNX file";
@@ -111,7 +117,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(seed));
     let evaluations = (sets.len() * allocators).saturating_mul(seeds.iter().count());
     let episodes = u64::from(arguments.episodes).saturating_mul(evaluations as u64);
-    let bar = progress::bar(arguments.common, episodes, "episodes");
+    let bar = terminal::bar(arguments.common, episodes, "episodes");
     let (mut measured, mut sizes) = (Vec::new(), vec![learned_in.spec().shape]);
     for set in sets {
         let environment = set.open(Split::Test)?;
@@ -150,7 +156,7 @@ fn export_method(arguments: &ExportArguments, learned: &LearnedMethod) -> Outcom
     let choices = learned.choices(&arguments.env)?;
     let evaluations = choices.len().saturating_mul(seeds.iter().count());
     let all = u64::from(arguments.episodes).saturating_mul(evaluations as u64);
-    let bar = progress::bar(arguments.common, all, "episodes");
+    let bar = terminal::bar(arguments.common, all, "episodes");
     let mut counted = CountedEpisodes { bar: &bar, next: &mut () };
     for choice in choices {
         let environment = learned.open_as(&choice)?;
@@ -218,4 +224,186 @@ fn measure(
         add(name, &mut Allocation::named(name)?.measured())?;
     }
     Ok(())
+}
+
+/// Golden observations are drawn from rounds of so many episodes, until there are enough.
+const GOLDEN_EPISODES: usize = 20;
+const GOLDEN_CASES: usize = 128;
+const GOLDEN_ROUNDS: u64 = 100;
+
+/// A policy, and the environments that it is to act in.
+struct Exported {
+    onnx: Vec<u8>,
+    roles: PolicyOptions,
+    facts: PolicyFacts,
+    contract: ContractV1,
+    /// Where it acts; the bundle names the first.
+    first: Place,
+    others: Vec<Place>,
+}
+
+/// A scenario set, opened.
+struct Place {
+    set: ScenarioSetName,
+    environment: Box<dyn Environment>,
+}
+
+impl Place {
+    fn open(name: &str) -> Result<Self, Failure> {
+        let set = ScenarioSetName::parse(name)?;
+        let environment = set.open(Split::Test)?;
+        Ok(Self { set, environment })
+    }
+
+    fn spec(&self) -> &Spec {
+        self.environment.spec()
+    }
+}
+
+fn export_policy(arguments: &ExportArguments) -> Outcome {
+    engines()?;
+    let within = |error| Failure::from(error).within(arguments.run.display());
+    let exported = Exported::open(arguments)?;
+    let mut policy = exported.policy().map_err(within)?;
+    let draft = exported.draft(arguments, &mut policy)?;
+    write(arguments, draft)
+}
+
+impl Exported {
+    fn open(arguments: &ExportArguments) -> Result<Self, Failure> {
+        let file = &arguments.run;
+        let roles = arguments.policy.options_for(file)?;
+        if arguments.team_max.is_some() {
+            let reason =
+                "`--team-max` limits an allocator, which a policy of somebody else has not";
+            return Err(Failure::new(Exit::Usage, reason));
+        }
+        let onnx = read_onnx(file).map_err(|error| Failure::file(file, &error))?;
+        let facts = compiler().rehearse_policy(&onnx, &roles);
+        let facts = facts.map_err(|error| Failure::from(error).within(file.display()))?;
+        let Some((first, others)) = arguments.env.split_first() else {
+            let reason = "`--env ENV/SET` says in which environment the policy acts";
+            return Err(Failure::new(Exit::Usage, reason));
+        };
+        let first = Place::open(first)?;
+        let others: Vec<Place> =
+            others.iter().map(|name| Place::open(name)).collect::<Result<_, _>>()?;
+        let spec = first.spec();
+        let names = |spec: &Spec| (spec.features.clone(), spec.actions.clone());
+        if let Some(other) = others.iter().find(|other| names(other.spec()) != names(spec)) {
+            let (set, first) = (&other.set, &first.set);
+            let reason = format!("`{set}` has other features or actions than `{first}`");
+            return Err(Failure::new(Exit::Mismatch, reason));
+        }
+        let row = |input: &PolicyInput| match input.role {
+            InputRole::Observation => Some(input.length()),
+            InputRole::Entities { .. } => input.shape.last().copied(),
+            _ => None,
+        };
+        let with_action = spec.shape.features + spec.shape.actions;
+        let last_action = facts.given().find_map(row) == Some(with_action);
+        let contract = contract(spec, last_action);
+        Ok(Self { onnx, roles, facts, contract, first, others })
+    }
+
+    /// The policy as an agent, run by tract.
+    fn policy(&self) -> Result<TeamPolicy, CompileError> {
+        let team = TeamSizes::of_contract(&self.contract, self.limits().n_max);
+        team.meanings(&self.facts)?;
+        let engines = engines().map_err(|failure| CompileError::Run { reason: failure.message })?;
+        let policy: Box<dyn FlatPolicy> = engines.tract().flat_policy(&self.onnx, &self.roles)?;
+        TeamPolicy::new(policy, team)
+    }
+
+    fn places(&self) -> impl Iterator<Item = &Place> {
+        std::iter::once(&self.first).chain(&self.others)
+    }
+
+    /// The largest domain that its bundle serves.
+    fn limits(&self) -> Limits {
+        let shapes: Vec<_> = self.places().map(|place| place.spec().shape).collect();
+        limits(&shapes)
+    }
+
+    fn draft(
+        &self,
+        arguments: &ExportArguments,
+        policy: &mut TeamPolicy,
+    ) -> Result<Draft, Failure> {
+        let seed = arguments.common.seed;
+        let measured = self.measure(arguments, policy)?;
+        let hidden = policy.hidden() as u32;
+        let features = usize::from(self.contract.features);
+        let Place { set, environment } = &self.first;
+        let mut recorder = Recorder::new(policy, features);
+        for round in 0..GOLDEN_ROUNDS {
+            if recorder.cases.len() >= GOLDEN_CASES {
+                break;
+            }
+            let mut team = PolicyTeam::new(&mut recorder);
+            evaluate(&**environment, &mut team, GOLDEN_EPISODES, seed.wrapping_add(round))?;
+        }
+        let golden = Golden { cases: recorder.cases, ..Golden::default() };
+        let mut parts = BTreeMap::from([
+            (AGENT.to_owned(), self.onnx.clone()),
+            (CARD.to_owned(), card(set, &measured).into_bytes()),
+        ]);
+        let roles = PolicyRoles::from(self.roles.clone());
+        if roles != PolicyRoles::default() {
+            parts.insert(POLICY_ROLES.to_owned(), roles.to_toml().into_bytes());
+        }
+        Ok(Draft {
+            environment: described(set.to_string(), environment.spec(), &golden.cases),
+            limits: self.limits(),
+            network: Network { agent: POLICY.to_owned(), hidden, ..Network::default() },
+            golden,
+            contract: self.contract.clone(),
+            parts,
+        })
+    }
+
+    /// Plays fresh episodes of every set.
+    fn measure(
+        &self,
+        arguments: &ExportArguments,
+        policy: &mut TeamPolicy,
+    ) -> Result<Vec<Measured>, Failure> {
+        let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));
+        let evaluations = self.places().count().saturating_mul(seeds.iter().count());
+        let all = u64::from(arguments.episodes).saturating_mul(evaluations as u64);
+        let bar = terminal::bar(arguments.common, all, "episodes");
+        let mut counted = CountedEpisodes { bar: &bar, next: &mut () };
+        let mut measured = Vec::new();
+        for Place { set, environment } in self.places() {
+            let mut parts = Vec::new();
+            for seed in seeds.iter() {
+                let (mut team, episodes) =
+                    (PolicyTeam::new(&mut *policy), arguments.episodes as usize);
+                let played = play::evaluate_watched(
+                    &**environment,
+                    &mut team,
+                    episodes,
+                    seed,
+                    &mut counted,
+                )?;
+                parts.push(played);
+            }
+            let evaluation = Evaluation::pooled(&parts);
+            let (set, allocation) = (set.set().to_owned(), "none".to_owned());
+            measured.push(Measured { set, allocation, evaluation });
+        }
+        bar.finish_and_clear();
+        Ok(measured)
+    }
+}
+
+fn card(set: &ScenarioSetName, measured: &[Measured]) -> String {
+    format!(
+        "# A policy of somebody else for {set}\n\n\
+         Every agent decides by `agent.onnx` alone, on its own row. It was not trained by Sortie.\n\n\
+         ## How well it does\n\n\
+         Greedy episodes. The interval is that of the episodes.\n\n\
+         {}",
+        measured_table(measured)
+    )
 }

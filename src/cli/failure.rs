@@ -42,7 +42,6 @@ pub enum Exit {
 /// Why a verb ended without success.
 #[derive(Debug)]
 pub struct Failure {
-    /// The exit code.
     pub exit: Exit,
     /// One line: what failed, where, and what to do. Empty where another process says it.
     pub message: String,

@@ -1,10 +1,18 @@
-//! The files that verbs write: tried before the work, written whole, and never over something else.
+//! The files that verbs write: tried before the work, written whole, and never over something else. Among them observations, by
+//! a policy that keeps what it decides on, and episodes, a file each.
 
-use std::fs::File;
+use std::collections::BTreeMap;
+use std::fs::{self, File};
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use sortie_bundle::files::{Durability, check_writable, replace_file};
+use sortie_bundle::{Bundle, Recording};
+use sortie_core::{DecideError, Decision, Observation, Policy};
+use sortie_envs::golden::{Labels, Record, StartRecording};
+use sortie_envs::{Entry, Step};
+use sortie_learn::LearnError;
+use sortie_learn::play::{Onlooker, Watched};
 
 use crate::failure::{Exit, Failure, Outcome};
 
@@ -61,6 +69,136 @@ pub fn try_output(path: &Path, kind: Kind) -> Outcome {
 /// Writes a file as a whole, or leaves what is there.
 pub fn write_output(path: &Path, content: &[u8]) -> Outcome {
     replace_file(path, content, Durability::Cached).map_err(|error| Failure::file(path, &error))
+}
+
+/// A policy that records every observation that it decides on.
+pub struct RecordingPolicy<'a> {
+    policy: &'a mut dyn Policy,
+    recording: Recording,
+}
+
+impl<'a> RecordingPolicy<'a> {
+    pub fn new(policy: &'a mut dyn Policy, bundle: &Bundle) -> Self {
+        let contract = bundle.contract();
+        let (features, actions) = (contract.features.into(), contract.actions.into());
+        Self { policy, recording: Recording::new(contract.hash(), features, actions) }
+    }
+
+    /// All that was recorded.
+    pub fn into_recording(self) -> Recording {
+        self.recording
+    }
+
+    /// Writes all that was recorded.
+    pub fn write(&self, path: &Path) -> Outcome {
+        write_output(path, &self.recording.to_bytes())
+    }
+}
+
+impl Policy for RecordingPolicy<'_> {
+    fn actions(&self) -> usize {
+        self.policy.actions()
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.policy.utilities(observation, utilities)
+    }
+
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        self.recording.add(observation);
+        self.policy.decide(observation)
+    }
+}
+
+/// Reads a file of observations, whatever they are of.
+pub fn read_any_recording(path: &Path) -> Result<Recording, Failure> {
+    let bytes = fs::read(path).map_err(|error| Failure::file(path, &error))?;
+    Recording::from_bytes(&bytes)
+        .map_err(|error| Failure::new(Exit::BadData, error.to_string()).within(path.display()))
+}
+
+/// Reads a file of observations that fit a bundle.
+pub fn read_recording(path: &Path, bundle: &Bundle) -> Result<Recording, Failure> {
+    let recording = read_any_recording(path)?;
+    let (want, got) = (bundle.contract().hash(), recording.contract);
+    if want != got {
+        let message = format!(
+            "{}: recorded under contract {got:016x}, {} has {want:016x}: record with `sortie eval {} --dump FILE`",
+            path.display(),
+            bundle.folder().display(),
+            bundle.folder().display()
+        );
+        return Err(Failure::new(Exit::Mismatch, message));
+    }
+    Ok(recording)
+}
+
+/// Writes recorded episodes into a folder.
+pub(crate) struct EpisodeWriter {
+    folder: PathBuf,
+    start: StartRecording,
+    policy: String,
+    seed: u64,
+    /// The running episodes by number.
+    recordings: BTreeMap<usize, Box<dyn Record>>,
+}
+
+impl EpisodeWriter {
+    /// `labels` name who acts and who allocates.
+    pub(crate) fn new(
+        folder: &Path,
+        entry: &Entry,
+        labels: (&str, &str),
+        seed: u64,
+    ) -> Result<Self, Failure> {
+        let start = entry.recordings.and_then(|recordings| recordings.record);
+        let never = || {
+            let reason = format!("episodes of `{}` are not recorded", entry.name);
+            Failure::new(Exit::Usage, reason)
+        };
+        let start = start.ok_or_else(never)?;
+        fs::create_dir_all(folder).map_err(|error| Failure::file(folder, &error))?;
+        try_output(&folder.join("00000.json"), Kind::Episode)?;
+        let policy = format!("{}, {} allocation", labels.0, labels.1);
+        Ok(Self { folder: folder.to_owned(), start, policy, seed, recordings: BTreeMap::new() })
+    }
+}
+
+impl Onlooker for EpisodeWriter {
+    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
+        let Watched { episode, instance, worlds } = watched;
+        let name = format!("{episode:05}-{}", worlds.episode(instance).group);
+        let labels = Labels { name, policy: self.policy.clone(), seed: self.seed };
+        let elsewhere = || LearnError::Team("it records another environment".to_owned());
+        let recording = (self.start)(worlds, instance, labels).ok_or_else(elsewhere)?;
+        self.recordings.insert(episode, recording);
+        Ok(())
+    }
+
+    fn stepped(
+        &mut self,
+        watched: Watched<'_>,
+        actions: &[u16],
+        outcome: &Step,
+    ) -> Result<(), LearnError> {
+        let Watched { episode, worlds, .. } = watched;
+        if let Some(recording) = self.recordings.get_mut(&episode) {
+            recording.step(worlds, actions, outcome);
+        }
+        if outcome.done()
+            && let Some(recording) = self.recordings.remove(&episode)
+        {
+            let path = self.folder.join(format!("{episode:05}.json"));
+            let episode = recording.finish(worlds);
+            replace_file(&path, episode.as_bytes(), Durability::Cached)
+                .map_err(|source| LearnError::File { path, source })?;
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]

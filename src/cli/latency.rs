@@ -8,7 +8,6 @@ const SAMPLES_FOR_P999: u64 = 10_000;
 /// One minute: a longer wait is counted as that.
 const LONGEST_NS: u64 = 60_000_000_000;
 
-/// A distribution of latencies.
 pub struct Latency {
     histogram: Histogram<u64>,
 }
@@ -16,13 +15,10 @@ pub struct Latency {
 /// The figures of a distribution, in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Percentiles {
-    /// Median.
     pub p50: f64,
-    /// 99th percentile.
     pub p99: f64,
     /// 99.9th percentile, absent below 10,000 samples.
     pub p999: Option<f64>,
-    /// Longest.
     pub max: f64,
 }
 

@@ -9,9 +9,8 @@ use sortie_plans::{
     TeamSizes, options_over_graphs, policy_by_agent, roles_of,
 };
 
-use crate::compiler::{compiler, plans};
 use crate::failure::{Exit, Failure, Outcome, with_sources};
-use crate::tools::engines;
+use crate::tools::{compiler, engines, plans};
 
 /// What executes networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -40,7 +39,6 @@ impl Backend {
     }
 }
 
-/// An arithmetic profile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PlanProfile {
     /// The same bits on every target

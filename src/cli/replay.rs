@@ -7,8 +7,7 @@ use serde::Serialize;
 use sortie_envs::golden::{self, GoldenError, Mismatch};
 
 use crate::failure::{Exit, Failure, Outcome};
-use crate::options::Common;
-use crate::output::{plural, print_json, say};
+use crate::output::{Common, plural, print_json, say};
 
 /// Replay recorded episodes and compare every value bit for bit
 ///

@@ -1,7 +1,5 @@
 //! `sortie serve`: a policy decides for a robot's program, over shared memory.
 
-mod graph;
-
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -9,23 +7,22 @@ use clap::Args;
 use serde::Serialize;
 use sortie_bundle::sha256;
 use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::wire::Reason;
 use sortie_ipc::{
-    Domain, Fallback, PolicySchema, PolicyServer, Port, RealTime, ServeCounters, ServeSettings,
-    Served, Stop,
+    Domain, Engine, Fallback, PolicySchema, PolicyServer, Port, RealTime, ServeCounters,
+    ServeSettings, Served, Stop,
 };
-use sortie_plans::{Annex, CompileError, CompileOptions, read_onnx};
+use sortie_plans::{
+    Annex, CompileError, CompileOptions, FlatPolicy, OutputRole, PolicyAnswer, read_onnx,
+};
 
-use crate::compiler::compiler;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::{ENGINE, PolicyArguments};
 use crate::latency::{Latency, Percentiles};
-use crate::options::Common;
-use crate::output::{Table, print_json, say};
+use crate::output::{Common, Table, print_json, say};
 use crate::policy::Backend;
-use crate::signals::stop_on_signals;
-use crate::tools::{check_program, engines};
-
-use graph::Graph;
+use crate::terminal::stop_on_signals;
+use crate::tools::{check_program, compiler, engines};
 
 /// What plans begin with.
 const PLAN: &[u8] = b"SORTIEPL";
@@ -89,14 +86,8 @@ struct Summary<'a> {
     domain: &'a str,
     /// `plan`, or what runs the graph.
     engine: &'static str,
-    answered: u64,
-    late: u64,
-    fallbacks: u64,
-    refused: u64,
-    missed: u64,
-    sessions: u64,
-    resets: u64,
-    failed_sends: u64,
+    #[serde(flatten)]
+    counters: &'a ServeCounters,
     /// From the sending of an observation to the server running, in microseconds.
     wake_us: Option<Percentiles>,
     /// The decision alone.
@@ -235,16 +226,6 @@ fn report(
     [wake_us, decide_us]: [Option<Percentiles>; 2],
 ) {
     let ServeArguments { policy, domain, common, .. } = arguments;
-    let ServeCounters {
-        answered,
-        late,
-        fallbacks,
-        refused,
-        missed,
-        sessions,
-        resets,
-        failed_sends,
-    } = *counters;
     if common.json {
         print_json(&Summary {
             policy,
@@ -253,14 +234,7 @@ fn report(
                 Backend::Plan => Backend::Plan.name(),
                 Backend::Tract => ENGINE,
             },
-            answered,
-            late,
-            fallbacks,
-            refused,
-            missed,
-            sessions,
-            resets,
-            failed_sends,
+            counters,
             wake_us,
             decide_us,
         });
@@ -270,6 +244,8 @@ fn report(
         Backend::Plan => String::new(),
         Backend::Tract => format!(" (by {ENGINE})"),
     };
+    let ServeCounters { answered, late, fallbacks, refused, missed, sessions, resets, .. } =
+        counters;
     say!(
         "{answered} answered{by}, {late} of them late, {fallbacks} fallbacks, {missed} missed, {refused} refused; \
          {sessions} robots, {resets} episodes"
@@ -283,4 +259,94 @@ fn report(
         }
     }
     table.print();
+}
+
+/// A graph that decides as a plan does: what is not finite is refused, and then no state has changed.
+struct Graph {
+    policy: Box<dyn FlatPolicy>,
+    /// First 16 bytes of the file's SHA-256.
+    model: [u8; 16],
+    /// Numbers of every output.
+    widths: Vec<usize>,
+    /// The states that an answer would leave.
+    next: Vec<f32>,
+}
+
+impl Graph {
+    /// A policy that has run on zeros in another process, and does so here.
+    ///
+    /// # Errors
+    /// It does not.
+    fn new(mut policy: Box<dyn FlatPolicy>, model: [u8; 16]) -> Result<Self, CompileError> {
+        let mut next = vec![0.0; policy.facts().state_length()];
+        let zeros: Vec<Vec<f32>> =
+            policy.facts().given().map(|input| vec![0.0; input.length()]).collect();
+        let zeros: Vec<&[f32]> = zeros.iter().map(Vec::as_slice).collect();
+        let answers = policy.run(&zeros, &mut next)?;
+        let widths = answers.iter().map(|answer| numbers(answer).len()).collect();
+        Ok(Self { policy, model, widths, next })
+    }
+
+    /// What it takes and gives: the same as the file's plan, if there were one.
+    fn schema(&self) -> PolicySchema {
+        let facts = self.policy.facts();
+        let port = |name: &str, length: usize| Port { name: name.to_owned(), length };
+        let states = facts.states.iter().map(|state| port(&state.input, state.length));
+        let outputs: Vec<_> = facts.wanted().zip(&self.widths).collect();
+        // Several choices side by side are left to the caller.
+        let actions = match outputs.first() {
+            Some((output, width)) if output.role == OutputRole::Discrete(**width) => **width,
+            _ => 0,
+        };
+        PolicySchema {
+            actions,
+            inputs: facts.given().map(|input| port(&input.name, input.length())).collect(),
+            outputs: outputs.iter().map(|(output, width)| port(&output.name, **width)).collect(),
+            states: states.collect(),
+        }
+    }
+}
+
+impl Engine for Graph {
+    fn respond(
+        &mut self,
+        inputs: &[&[f32]],
+        states: &mut [f32],
+        outputs: &mut [&mut [f32]],
+    ) -> Result<(), Reason> {
+        check(inputs.iter().copied().flatten())?;
+        check(states.iter())?;
+        self.next.copy_from_slice(states);
+        // What the engine says of it would be said at every step.
+        let answers = self.policy.run(inputs, &mut self.next);
+        let answers = answers.map_err(|_| Reason::Policy)?;
+        let answers = answers.iter().map(numbers);
+        check(self.next.iter().chain(answers.clone().flatten()))?;
+        for (to, from) in outputs.iter_mut().zip(answers) {
+            let fits = to.len() == from.len();
+            fits.then(|| to.copy_from_slice(from)).ok_or(Reason::Length)?;
+        }
+        states.copy_from_slice(&self.next);
+        Ok(())
+    }
+
+    fn model(&self) -> [u8; 16] {
+        self.model
+    }
+
+    fn is_graph(&self) -> bool {
+        true
+    }
+}
+
+fn check<'a>(mut numbers: impl Iterator<Item = &'a f32>) -> Result<(), Reason> {
+    match numbers.all(|number| number.is_finite()) {
+        true => Ok(()),
+        false => Err(Reason::NonFinite),
+    }
+}
+
+/// An output's numbers: of a choice that is made inside, its scores, which the caller chooses from.
+fn numbers(answer: &PolicyAnswer) -> &[f32] {
+    if answer.scores.is_empty() { &answer.numbers } else { &answer.scores }
 }

@@ -3,15 +3,19 @@
 use std::path::Path;
 
 use sortie_bundle::{Bundle, MANIFEST, SubtaskConditioning, TRAINING};
-use sortie_envs::Environment;
+use sortie_envs::{Entry, Environment};
 use sortie_learn::run::read_description;
-use sortie_methods::alma::run::Run;
+use sortie_methods::alma::run::{Run, RunAllocator};
+use sortie_methods::alma::teams::{self, Allocate, NoSubtasks};
 
+use crate::allocation::{Allocation, AllocatorChoice};
+use crate::allocator::{DeployedAllocator, ProposalArguments, none_learned};
 use crate::deployment::open_bundle;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure};
 use crate::methods::open_environment;
 use crate::output::warn_of_refused;
+use crate::policy::Backend;
 
 /// What is evaluated.
 pub enum Subject {
@@ -71,6 +75,7 @@ impl Subject {
             Self::Scripted => false,
         }
     }
+
     /// The scenario set asked for, else its own.
     pub fn scenario_set(&self, asked: Option<&str>) -> Result<ScenarioSetName, Failure> {
         match (asked, self) {
@@ -83,5 +88,88 @@ impl Subject {
             }
             (None, Self::Scripted) => Ok(ScenarioSetName::default()),
         }
+    }
+}
+
+/// The memory of an allocator.
+pub enum SubjectAllocator<'a> {
+    /// Of a team that knows of no subtasks.
+    Nobody,
+    Rule(Allocation),
+    /// A run's, with the trainer's own forward pass.
+    Run(&'a Run, ProposalArguments),
+    /// A bundle's, as deployed.
+    Bundle(DeployedAllocator),
+}
+
+/// Who allocates for a team in an environment, by name, and the memory of it.
+///
+/// What was asked for, else the learned allocator where `owner` has one, else the coordinated rule; for a team that knows
+/// of no subtasks nobody, and asking for an allocator is a mistake.
+pub fn open_for<'a>(
+    (team, entry): (&Subject, &'static Entry),
+    asked: Option<AllocatorChoice>,
+    owner: &'a Subject,
+    name: &str,
+    backend: Backend,
+    draws: (ProposalArguments, u64),
+) -> Result<(&'static str, SubjectAllocator<'a>), Failure> {
+    if team.has_subtasks() {
+        let choice = AllocatorChoice::or_default(asked, owner.has_allocator(), entry)?;
+        let allocator = SubjectAllocator::open(choice, Some(owner), name, backend, draws)?;
+        return Ok((choice.name(), allocator));
+    }
+    draws.0.check_unused()?;
+    match asked {
+        None => Ok(("none", SubjectAllocator::Nobody)),
+        Some(choice) => Err(choice.of_no_use()),
+    }
+}
+
+impl<'a> SubjectAllocator<'a> {
+    /// What was chosen; a learned allocator is that of `owner`, which is called `name`. Proposals and seed matter to
+    /// one that proposes.
+    pub fn open(
+        choice: AllocatorChoice,
+        owner: Option<&'a Subject>,
+        name: &str,
+        backend: Backend,
+        (proposals, seed): (ProposalArguments, u64),
+    ) -> Result<Self, Failure> {
+        if let Some(rule) = choice.rule() {
+            proposals.check_unused()?;
+            return Ok(Self::Rule(rule));
+        }
+        let owner = owner.filter(|owner| owner.has_allocator());
+        match owner {
+            Some(Subject::Bundle(bundle)) => {
+                let learned = AllocatorChoice::Learned;
+                DeployedAllocator::open(bundle, learned, backend, seed, proposals).map(Self::Bundle)
+            }
+            Some(Subject::Run(run)) => {
+                if !matches!(run.allocator, Some(RunAllocator::Proposals { .. })) {
+                    proposals.check_unused()?;
+                }
+                Ok(Self::Run(run, proposals))
+            }
+            Some(Subject::Scripted) | None => Err(none_learned(name)),
+        }
+    }
+
+    /// Whether it is a bundle's.
+    pub fn is_deployed(&self) -> bool {
+        matches!(self, Self::Bundle(_))
+    }
+
+    /// The allocator over this memory.
+    pub fn allocator(&mut self) -> Result<Box<dyn Allocate + '_>, Failure> {
+        Ok(match self {
+            Self::Nobody => Box::new(NoSubtasks),
+            Self::Rule(rule) => Box::new(rule.measured()),
+            Self::Run(run, proposals) => {
+                run.learned_allocator(proposals.count()).ok_or_else(|| none_learned("the run"))?
+            }
+            Self::Bundle(memory) => Box::new(teams::DeployedAllocator(memory.allocator()?)),
+        })
     }
 }

@@ -6,15 +6,20 @@
 
 use std::env;
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
-use clap::{Arg, ArgMatches};
-use sortie_plans::{CompileError, Engines, check_version};
+use clap::{Arg, ArgMatches, Args};
+use sortie_bundle::Draft;
+use sortie_plans::{
+    BundlePlans, CompileError, CompilerProcess, Engines, OnnxRuntimeEngine, OnnxRuntimeError,
+    user_cache,
+};
 
 use crate::Program;
-use crate::failure::{Failure, Outcome};
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::tell;
 
 /// The file that the program is.
 const FILE: &str = "sortie-tools";
@@ -74,12 +79,7 @@ pub(crate) fn program() -> PathBuf {
 
 /// Fails early where that program is missing, or is of another version: before anything is computed for it.
 pub fn check_program() -> Outcome {
-    if linked().is_some() { Ok(()) } else { Ok(check_version(&program(), version())?) }
-}
-
-/// The version that `program` must be of; none where it is this program.
-pub(crate) fn expected_version() -> Option<&'static str> {
-    linked().is_none().then(version)
+    Ok(compiler().check_version()?)
 }
 
 /// The grammar of one of [`VERBS`]: in full, or as much as is known without the program that has it.
@@ -121,4 +121,87 @@ fn become_tools() -> Failure {
     let program = program();
     let error = Command::new(&program).args(env::args_os().skip(1)).exec();
     Failure::from(CompileError::not_started(program, &error))
+}
+
+// The process that reads networks for this one, with limits, and the plans that come of it.
+//
+// A bundle's hashes say that its files belong together, not who made them: every network that a user names is
+// read there first.
+
+/// Read one network for another process; started by all that compile
+#[derive(Debug, Args)]
+pub struct CompilerArguments {}
+
+/// What reads networks. All that this process asks of it finds the same program, whose version is looked at once.
+pub fn compiler() -> CompilerProcess {
+    static COMPILER: OnceLock<CompilerProcess> = OnceLock::new();
+    let new = || {
+        let process = CompilerProcess::new(program(), ["compiler"]);
+        if linked().is_some() { process } else { process.of_version(version()) }
+    };
+    COMPILER.get_or_init(new).clone()
+}
+
+pub fn plans() -> BundlePlans<CompilerProcess> {
+    BundlePlans::new(compiler(), user_cache(), |note| tell!("note: {note}"))
+}
+
+/// The bundle with the plans of its networks, which are compiled anew.
+pub fn with_plans(mut draft: Draft, folder: &Path) -> Result<Draft, Failure> {
+    let bundle = draft.unwritten(folder)?;
+    let compiled = plans().shipped(&bundle);
+    let compiled = compiled.map_err(|error| Failure::from(error).within(folder.display()))?;
+    for (name, plan) in compiled {
+        draft.parts.insert(name, plan);
+    }
+    Ok(draft)
+}
+
+pub fn answer_compiler(_: &CompilerArguments) -> Outcome {
+    let answered = engines()?.answer_compiler();
+    answered.map_err(|error| Failure::new(Exit::InputOutput, error.to_string()))
+}
+
+/// Where onnxruntime is looked for.
+#[derive(Clone, Debug, Args)]
+pub struct OnnxRuntimeArguments {
+    /// Interpreter that has the package `onnxruntime` [default: ORT_DYLIB_PATH, VIRTUAL_ENV, python3]
+    #[arg(long, value_name = "PYTHON")]
+    python: Option<PathBuf>,
+}
+
+impl OnnxRuntimeArguments {
+    pub fn open(&self) -> Result<&'static dyn OnnxRuntimeEngine, Failure> {
+        Ok(engines()?.onnxruntime(self.python.as_deref())?)
+    }
+
+    /// The interpreter that was named.
+    pub fn python(&self) -> Option<&Path> {
+        self.python.as_deref()
+    }
+
+    /// Opens the library; where nobody named one and none is found, says that it is left out and what would help.
+    ///
+    /// # Errors
+    /// The interpreter or the library that was named has none.
+    pub fn open_or_note(
+        &self,
+        left_out: &str,
+    ) -> Result<Option<&'static dyn OnnxRuntimeEngine>, Failure> {
+        let is_named = self.python.is_some() || std::env::var_os("ORT_DYLIB_PATH").is_some();
+        match self.open() {
+            Ok(runtime) => Ok(Some(runtime)),
+            Err(error) if is_named => Err(error),
+            Err(error) => {
+                tell!("note: {left_out}: {}", error.message);
+                Ok(None)
+            }
+        }
+    }
+}
+
+impl From<OnnxRuntimeError> for Failure {
+    fn from(error: OnnxRuntimeError) -> Self {
+        Self::new(Exit::NotRunning, error.to_string())
+    }
 }

@@ -1,12 +1,17 @@
 //! `sortie compile`: an ONNX network becomes a plan, proved against its source.
 
 mod bundle;
-mod policy;
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
+use sortie_cli::failure::{Exit, Failure, Outcome};
+use sortie_cli::files::{Kind, read_any_recording, try_output, write_output};
+use sortie_cli::foreign::PolicyArguments;
+use sortie_cli::output::{Common, Table, print_json, say, tell};
+use sortie_cli::policy::PlanProfile;
+use sortie_cli::tools::{check_program, compiler};
 use sortie_core::plan::Profile;
 use sortie_plans::{
     Agreement, CompileError, CompileOptions, Compiled, Compiler, LEAST_AGREEMENT,
@@ -14,15 +19,6 @@ use sortie_plans::{
 };
 
 use self::bundle::Paired;
-use sortie_cli::compiler::compiler;
-use sortie_cli::failure::{Exit, Failure, Outcome};
-use sortie_cli::files::{Kind, try_output, write_output};
-use sortie_cli::foreign::PolicyArguments;
-use sortie_cli::observations::read_any_recording;
-use sortie_cli::options::Common;
-use sortie_cli::output::{Table, print_json, say, tell};
-use sortie_cli::policy::PlanProfile;
-use sortie_cli::tools::check_program;
 
 /// Compile an ONNX network to a plan for the runtime core
 ///
@@ -80,13 +76,13 @@ pub(crate) struct CompileArguments {
 }
 
 #[derive(Serialize)]
-struct Written<'a> {
+struct Written<'a, A> {
     plan: &'a Path,
     #[serde(flatten)]
     report: &'a Report,
     /// How an int8 plan acts beside the f32 plan of the same network, and what that costs.
     #[serde(skip_serializing_if = "Option::is_none")]
-    agreement: Option<&'a Agreement>,
+    agreement: Option<&'a A>,
     /// What an int8 plan of a bundle achieves beside the f32 plan.
     #[serde(skip_serializing_if = "Option::is_none")]
     paired: Option<&'a Paired>,
@@ -156,9 +152,9 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
         return Ok(());
     }
     if let (Profile::Int8, Some(file)) = (options.profile, &arguments.npz) {
-        let quantised = policy::quantised(arguments, &onnx, &options, file, &failed)?;
+        let quantised = bundle::quantised(arguments, &onnx, &options, file, &failed)?;
         write_plan(arguments, &quantised.compiled.compiled.bytes)?;
-        policy::print(arguments, &quantised);
+        bundle::print_policy(arguments, &quantised);
         return Ok(());
     }
     if options.profile == Profile::Int8 {
@@ -235,12 +231,16 @@ fn print_agreement(quantised: &Quantised) {
         agreement.observations,
         agreement.max_utility_error
     );
+    print_bytes(report, exact);
+}
+
+fn print_bytes(int8: &Report, exact: &Report) {
     let mut table = Table::new(&["bytes", "int8", "f32"]);
     let mut row = |name: &str, int8: usize, exact: usize| {
         table.row([name.to_string(), int8.to_string(), exact.to_string()]);
     };
-    row("flash", report.flash_bytes, exact.flash_bytes);
-    row("arena", report.arena_bytes, exact.arena_bytes);
+    row("flash", int8.flash_bytes, exact.flash_bytes);
+    row("arena", int8.arena_bytes, exact.arena_bytes);
     table.print();
 }
 
@@ -268,8 +268,6 @@ fn print(
     if arguments.common.json {
         let (agreement, exact) = int8.unzip();
         print_json(&Written { plan, report, agreement, paired, exact });
-    }
-    if arguments.common.json {
         return;
     }
     say!(

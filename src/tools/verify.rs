@@ -8,6 +8,15 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use sortie_bundle::{Bundle, POLICY, Recording};
+use sortie_cli::allocator::LearnedAllocator;
+use sortie_cli::deployment::open_bundle;
+use sortie_cli::failure::{Exit, Failure, Outcome};
+use sortie_cli::files::read_recording;
+use sortie_cli::foreign::PolicyArguments;
+use sortie_cli::output::{Common, print_json};
+use sortie_cli::policy::{DeployedPolicy, PlanProfile, graph_policy};
+use sortie_cli::terminal;
+use sortie_cli::tools::{OnnxRuntimeArguments, compiler, engines, plans};
 use sortie_core::Observation;
 use sortie_core::plan::{AlignedBytes, Network, PlanError, Profile};
 use sortie_plans::{
@@ -18,19 +27,6 @@ use sortie_plans::{
     observation_families, random_allocation_states, random_entities, read_onnx,
     team_query_families,
 };
-
-use sortie_cli::allocator::LearnedAllocator;
-use sortie_cli::compiler::{compiler, plans};
-use sortie_cli::deployment::open_bundle;
-use sortie_cli::failure::{Exit, Failure, Outcome};
-use sortie_cli::foreign::PolicyArguments;
-use sortie_cli::observations::read_recording;
-use sortie_cli::onnxruntime::OnnxRuntimeArguments;
-use sortie_cli::options::Common;
-use sortie_cli::output::print_json;
-use sortie_cli::policy::{DeployedPolicy, PlanProfile, graph_policy};
-use sortie_cli::progress;
-use sortie_cli::tools::engines;
 
 /// Compare plans with tract, with onnxruntime and with a bundle's golden observations and allocations
 ///
@@ -144,7 +140,7 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
     }
     let (not_compared, Judges { engines: judges, runtime, .. }) = (judges.missing(), judges);
     let mut engines = Vec::new();
-    let spinner = progress::spinner(arguments.common);
+    let spinner = terminal::spinner(arguments.common);
     spinner.set_message("comparing the plans with their graphs");
     if subject.is_dir() || !subject.exists() {
         let bundle = open_bundle(subject)?;
@@ -216,7 +212,6 @@ impl VerifyArguments {
 struct Judges {
     engines: Vec<&'static dyn GraphEngine>,
     runtime: Option<&'static dyn OnnxRuntimeEngine>,
-    /// Whether onnxruntime is wanted.
     wants_runtime: bool,
 }
 

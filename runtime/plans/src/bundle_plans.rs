@@ -6,15 +6,13 @@ use sortie_bundle::{ALLOCATOR_PLAN, AgentGraph, Bundle, GOLDEN, POLICY_ROLES, Re
 use sortie_core::limits;
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 
-use crate::agent_plans::AgentPlans;
 use crate::cache::{PlanKey, keep, kept};
 use crate::error::CompileError;
 use crate::policy::{PolicyOptions, roles_of};
 use crate::policy_plan::CompiledPolicy;
-use crate::proof::{prove_agents, prove_allocator, prove_options};
-use crate::proposal_files::ProposalFiles;
-use crate::report::{CompileOptions, Compiled, VERSION};
-use crate::team_sizes::TeamSizes;
+use crate::proof::{AgentPlans, prove_agents, prove_allocator, prove_options};
+use crate::report::{CompileOptions, Compiled, ProposalFiles, VERSION};
+use crate::team_policy::TeamSizes;
 
 /// Makes plans of networks, here or in another process.
 pub trait Compiler {

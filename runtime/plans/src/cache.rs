@@ -17,13 +17,11 @@ use sortie_core::plan::{AlignedBytes, Plan};
 /// All that a compiled plan depends on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlanKey<'a> {
-    /// The network.
     pub(crate) onnx: &'a [u8],
     /// The arithmetic profile's name.
     pub(crate) profile: &'a str,
     /// The compiler's version.
     pub(crate) compiler: &'a str,
-    /// Hash of the contract.
     pub(crate) contract: u64,
     /// Most visible entities.
     pub(crate) n_max: usize,
@@ -62,7 +60,6 @@ pub(crate) fn kept(folder: &Path, key: &PlanKey<'_>) -> Option<AlignedBytes> {
     valid.then_some(plan)
 }
 
-/// Keeps a plan.
 pub(crate) fn keep(folder: &Path, key: &PlanKey<'_>, plan: &[u8]) -> io::Result<()> {
     DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
     check(folder)?;

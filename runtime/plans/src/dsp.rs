@@ -1,10 +1,13 @@
-//! Plans of int8 weights as processors with the DSP extension read them.
+//! Plans of int8 weights: as processors with the DSP extension read them, and of policies with how they act.
 
 use sortie_core::internal::ops::{Int8Layer, LAYOUT_INT8_DSP, OpRef};
 use sortie_core::plan::{AlignedBytes, Plan, Profile};
 
-use crate::agreement::seal;
+use crate::agreement::{note_mismatch, seal};
 use crate::error::CompileError;
+use crate::facts::Annex;
+use crate::policy_plan::{CompiledPolicy, PolicyAgreement, RecordedCase, policy_agreement};
+use crate::report::Report;
 
 /// The same plan with int8 weights laid out for the DSP extension of ARM (Cortex-M4, M7 and later): builds of `sortie-core` with
 /// the feature `dsp` read those alone, and give the same bits. Plans of other profiles are the same for all.
@@ -47,10 +50,44 @@ fn matrices(op: OpRef<'_>) -> Vec<(u32, usize)> {
     }
 }
 
+/// A policy of few bits beside the exact one.
+#[derive(Clone, Debug)]
+pub struct QuantisedPolicy {
+    /// Its plan, whose header and annex say how it acts.
+    pub compiled: CompiledPolicy,
+    /// What the exact plan costs.
+    pub exact: Report,
+    /// How both act.
+    pub agreement: PolicyAgreement,
+}
+
+/// Compiles a policy to int8 weights, and asks that plan and the exact one about what was recorded. `compile` compiles
+/// the policy in a profile.
+///
+/// Whether the agreement is enough is the caller's to judge ([`PolicyAgreement::is_enough`]).
+///
+/// # Errors
+/// The policy has no such plan, or what was recorded cannot be decided on.
+pub fn quantise_policy(
+    compile: impl Fn(Profile) -> Result<CompiledPolicy, CompileError>,
+    cases: &[RecordedCase<'_>],
+) -> Result<QuantisedPolicy, CompileError> {
+    let exact = compile(Profile::Exact)?;
+    let mut compiled = compile(Profile::Int8)?;
+    let agreement = policy_agreement(&compiled, &exact, cases)?;
+    let plan = &mut compiled.compiled.bytes;
+    note_mismatch(plan, 1.0 - agreement.share())?;
+    let annex = Annex::of_plan(plan)?;
+    let annex = annex.unwrap_or_else(|| Annex::new(compiled.facts.clone(), []));
+    Annex { agreement: Some(agreement.clone()), ..annex }.replace_in(plan)?;
+    Ok(QuantisedPolicy { compiled, exact: exact.compiled.report, agreement })
+}
+
 #[cfg(test)]
 mod tests {
-    use super::*;
     use sortie_core::plan::{Header, PlanError};
+
+    use super::*;
 
     fn golden(name: &str) -> Vec<u8> {
         let path = std::path::Path::new("../../tests/golden/plans").join(name);

@@ -15,7 +15,7 @@ use crate::error::CompileError;
 use crate::families::Family;
 use crate::observations::{OwnedEntities, OwnedTeamQuery};
 use crate::policy::{FlatPolicy, PolicyOptions};
-use crate::proposal_files::ProposalFiles;
+use crate::report::ProposalFiles;
 
 /// The engines of a program, and its compiler.
 pub trait Engines: Sync {

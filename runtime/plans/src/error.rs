@@ -1,13 +1,11 @@
 //! Why a network does not become a plan.
 
 use std::borrow::Cow;
-use std::io;
 use std::path::PathBuf;
+use std::{fmt, io};
 
 use serde::{Deserialize, Serialize};
 use sortie_core::plan::PlanError;
-
-use crate::ending::Ending;
 
 /// Why a network could not be read, compiled or run.
 #[derive(Debug, thiserror::Error, Serialize, Deserialize)]
@@ -259,6 +257,46 @@ impl CompileError {
         match error.kind() {
             io::ErrorKind::NotFound => Self::NoCompiler { program },
             _ => Self::NoProcess { reason: format!("`{}`: {error}", program.display()) },
+        }
+    }
+}
+
+/// How a process ended that gave no answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Ending {
+    /// It asked for more memory than it may have.
+    Memory {
+        /// The limit in MiB.
+        limit_mib: u32,
+    },
+    /// It used its processor time up.
+    Time {
+        /// The limit in seconds.
+        limit_s: u32,
+    },
+    /// It gave no answer in time.
+    Silent {
+        /// The limit in seconds.
+        limit_s: u32,
+    },
+    /// Its stack overflowed.
+    Stack,
+    /// A signal ended it.
+    Signal(i32),
+    /// It ended by itself with this code; 101 is a panic.
+    Code(i32),
+}
+
+impl fmt::Display for Ending {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Memory { limit_mib } => write!(f, "it takes more than {limit_mib} MiB of memory"),
+            Self::Time { limit_s } => write!(f, "it takes more than {limit_s} s of processor time"),
+            Self::Silent { limit_s } => write!(f, "there was no answer for {limit_s} s"),
+            Self::Stack => write!(f, "its parts are nested too deeply"),
+            Self::Signal(signal) => write!(f, "signal {signal} ended the process that read it"),
+            Self::Code(code) => write!(f, "the process that read it ended with code {code}"),
         }
     }
 }

@@ -1,14 +1,18 @@
-//! Facts about ONNX files and plans, for people and scripts.
+//! Facts about ONNX files and plans, for people and scripts, and what stands behind the weights of a policy's plan for
+//! them: names, sizes, roles and metadata.
+//!
+//! The executor ignores bytes behind the weights, so that a plan without its annex decides alike.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize, Serializer};
 use sortie_bundle::hex;
-use sortie_core::plan::{AlignedBytes, Network, Plan};
+use sortie_core::internal::checksum::crc32c;
+use sortie_core::plan::{AlignedBytes, Header, Network, Plan};
 
-use crate::annex::Annex;
 use crate::error::CompileError;
 use crate::policy::PolicyFacts;
+use crate::policy_plan::PolicyAgreement;
 use crate::report::{OperatorReport, operators};
 
 /// What an ONNX file holds.
@@ -113,4 +117,181 @@ pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
         operators,
         policy,
     })
+}
+
+// What stands behind the weights of a policy's plan for hosts and people: names, sizes, roles and metadata.
+//
+// The executor ignores bytes behind the weights, so that a plan without its annex decides alike.
+
+const MAGIC: [u8; 8] = *b"SORTIEAX";
+/// The most bytes that metadata of a source may have, one entry's name and text.
+const ENTRY: usize = 65_536;
+
+/// What is known of a policy beside its plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Annex {
+    /// Inputs, outputs and states, in the plan's order.
+    pub facts: PolicyFacts,
+    /// Metadata of the source, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub metadata: BTreeMap<String, String>,
+    /// How a plan of few bits acts beside the exact one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agreement: Option<PolicyAgreement>,
+}
+
+impl Annex {
+    /// Entries of metadata that are longer than 64 KiB are left out: they are no names.
+    pub fn new(facts: PolicyFacts, metadata: impl IntoIterator<Item = (String, String)>) -> Self {
+        let is_short = |(name, text): &(String, String)| name.len() + text.len() <= ENTRY;
+        let metadata = metadata.into_iter().filter(is_short).collect();
+        Self { facts, metadata, agreement: None }
+    }
+
+    /// Writes it behind a plan that has none.
+    ///
+    /// # Errors
+    /// It is longer than a plan can say.
+    pub fn append_to(&self, plan: &mut Vec<u8>) -> Result<(), CompileError> {
+        let text = serde_json::to_vec(self).map_err(|error| broken(&error.to_string()))?;
+        let length = u32::try_from(text.len()).map_err(|_| broken("it is too long"))?;
+        plan.extend_from_slice(&MAGIC);
+        plan.extend_from_slice(&length.to_le_bytes());
+        plan.extend_from_slice(&crc32c(&text).to_le_bytes());
+        plan.extend_from_slice(&text);
+        Ok(())
+    }
+
+    /// Writes it behind a plan in place of the one that it has.
+    ///
+    /// # Errors
+    /// The plan has no header, or this is longer than a plan can say.
+    pub fn replace_in(&self, plan: &mut Vec<u8>) -> Result<(), CompileError> {
+        let end = weights_end(plan)?;
+        plan.truncate(end);
+        self.append_to(plan)
+    }
+
+    /// The annex of a plan; `None` where nothing of the kind stands behind its weights.
+    ///
+    /// # Errors
+    /// The plan has no header, or its annex is cut off or changed.
+    pub fn of_plan(plan: &[u8]) -> Result<Option<Self>, CompileError> {
+        let end = weights_end(plan)?;
+        let Some((magic, rest)) = plan.get(end..).and_then(|rest| rest.split_first_chunk()) else {
+            return Ok(None);
+        };
+        if *magic != MAGIC {
+            return Ok(None);
+        }
+        let text = text(rest).ok_or_else(|| broken("it is cut off or changed"))?;
+        let annex: Self =
+            serde_json::from_slice(text).map_err(|error| broken(&error.to_string()))?;
+        Ok(Some(annex))
+    }
+}
+
+/// Where the weights of a plan end.
+fn weights_end(plan: &[u8]) -> Result<usize, CompileError> {
+    let (header, _) = Header::read(plan)?;
+    Ok((header.weights_offset as usize).saturating_add(header.weights_len as usize))
+}
+
+/// The text behind the magic, where it is whole.
+fn text(rest: &[u8]) -> Option<&[u8]> {
+    let (length, rest) = rest.split_first_chunk()?;
+    let (checksum, rest) = rest.split_first_chunk()?;
+    let text = rest.get(..u32::from_le_bytes(*length) as usize)?;
+    (crc32c(text) == u32::from_le_bytes(*checksum)).then_some(text)
+}
+
+fn broken(reason: &str) -> CompileError {
+    CompileError::Annex { reason: reason.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_core::plan::{HEADER_BYTES, VERSION};
+
+    use super::*;
+    use crate::policy::{InputRole, OutputRole, PolicyInput, PolicyOutput, ValueType};
+
+    /// Only the header of a plan: nothing else is looked at.
+    fn plan() -> Vec<u8> {
+        let mut plan = include_bytes!("../../../tests/golden/plans/policy-2.0.plan").to_vec();
+        assert_eq!(plan[8], VERSION.0 as u8);
+        assert!(plan.len() > HEADER_BYTES);
+        let (header, _) = Header::read(&plan).expect("a plan");
+        plan.truncate((header.weights_offset + header.weights_len) as usize);
+        plan
+    }
+
+    fn annex() -> Annex {
+        let input = PolicyInput {
+            name: "obs".into(),
+            kind: ValueType::F32,
+            shape: vec![1, 8],
+            role: InputRole::Observation,
+        };
+        let output = PolicyOutput {
+            name: "logits".into(),
+            kind: ValueType::F32,
+            shape: vec![1, 5],
+            role: OutputRole::Discrete(5),
+        };
+        let facts = PolicyFacts {
+            inputs: vec![input],
+            outputs: vec![output],
+            states: Vec::new(),
+            operators: BTreeMap::new(),
+            parameters: 45,
+            multiply_adds: Some(40),
+        };
+        let long = ("weights".to_owned(), "x".repeat(ENTRY));
+        Annex::new(facts, [("joint_names".to_owned(), "hip,knee".to_owned()), long])
+    }
+
+    #[test]
+    fn what_is_written_behind_a_plan_is_read_again() {
+        let (mut plan, annex) = (plan(), annex());
+        assert_eq!(Annex::of_plan(&plan).expect("a plan"), None);
+        annex.append_to(&mut plan).expect("short enough");
+        assert_eq!(annex.metadata.keys().collect::<Vec<_>>(), ["joint_names"]);
+        assert_eq!(Annex::of_plan(&plan).expect("whole"), Some(annex));
+    }
+
+    #[test]
+    fn another_annex_stands_in_place_of_the_first() {
+        let (mut plan, first) = (plan(), annex());
+        first.append_to(&mut plan).expect("short enough");
+        let length = plan.len();
+        let agreement = PolicyAgreement { observations: 3, outputs: Vec::new() };
+        let second = Annex { agreement: Some(agreement), ..first.clone() };
+        second.replace_in(&mut plan).expect("short enough");
+        assert_eq!(Annex::of_plan(&plan).expect("whole"), Some(second));
+        first.replace_in(&mut plan).expect("short enough");
+        assert_eq!(plan.len(), length);
+    }
+
+    #[test]
+    fn an_annex_that_is_cut_off_or_changed_is_refused() {
+        let mut plan = plan();
+        let end = plan.len();
+        annex().append_to(&mut plan).expect("short enough");
+        for length in end + MAGIC.len()..plan.len() {
+            assert!(matches!(Annex::of_plan(&plan[..length]), Err(CompileError::Annex { .. })));
+        }
+        for place in end + MAGIC.len()..plan.len() {
+            let mut changed = plan.clone();
+            changed[place] ^= 1;
+            assert!(matches!(Annex::of_plan(&changed), Err(CompileError::Annex { .. })), "{place}");
+        }
+    }
+
+    #[test]
+    fn other_bytes_behind_a_plan_are_no_annex() {
+        let mut plan = plan();
+        plan.extend_from_slice(b"SORTIEBX and more");
+        assert_eq!(Annex::of_plan(&plan).expect("a plan"), None);
+    }
 }

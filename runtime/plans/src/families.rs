@@ -3,7 +3,8 @@
 use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_bundle::OwnedObservation;
-use sortie_core::EntityMask;
+use sortie_core::choose::masked_argmax;
+use sortie_core::{EntityMask, Observation, Policy};
 
 use crate::comparison::Comparison;
 use crate::observations::{
@@ -87,10 +88,6 @@ pub fn observation_families(
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut base =
         |n_max: usize| random_observations(few, n_max, features, actions, random.next_u64());
-    let edited =
-        |name, inputs: Vec<OwnedObservation>, edit: &dyn Fn(usize, &mut OwnedObservation)| {
-            changed(name, inputs, edit)
-        };
     let masked = |mask: fn(&OwnedObservation) -> EntityMask| {
         move |_: usize, seen: &mut OwnedObservation| seen.visible = mask(seen)
     };
@@ -104,17 +101,17 @@ pub fn observation_families(
     };
     let mut families = vec![
         plain("random", random_observations(count, n_max, features, actions, seed)),
-        edited("nothing visible", base(n_max), &masked(|_| EntityMask::EMPTY)),
-        edited("everything visible", base(n_max), &masked(|o| EntityMask::first(o.entities()))),
-        edited("only oneself visible", base(n_max), &masked(only_oneself)),
+        changed("nothing visible", base(n_max), &masked(|_| EntityMask::EMPTY)),
+        changed("everything visible", base(n_max), &masked(|o| EntityMask::first(o.entities()))),
+        changed("only oneself visible", base(n_max), &masked(only_oneself)),
         plain("one entity", base(1)),
         plain("n_max entities", random_observations_of(few, n_max, features, actions, seed)),
-        edited("no available action", base(n_max), &|_, seen| seen.available.fill(0)),
-        edited("denormals", base(n_max), &scaled(1.0e-40)),
-        edited("values of 1e6", base(n_max), &scaled(1.0e6)),
-        edited(HUGE, base(n_max), &scaled(1.0e30)),
-        edited(INFINITIES, base(n_max), &with(&[f32::INFINITY, f32::NEG_INFINITY])),
-        edited(NAN, base(n_max), &with(&[f32::NAN])),
+        changed("no available action", base(n_max), &|_, seen| seen.available.fill(0)),
+        changed("denormals", base(n_max), &scaled(1.0e-40)),
+        changed("values of 1e6", base(n_max), &scaled(1.0e6)),
+        changed(HUGE, base(n_max), &scaled(1.0e30)),
+        changed(INFINITIES, base(n_max), &with(&[f32::INFINITY, f32::NEG_INFINITY])),
+        changed(NAN, base(n_max), &with(&[f32::NAN])),
     ];
     let mut hidden = changed("NaN behind the mask", base(n_max), &|_, seen| {
         let rows = looked_at(seen);
@@ -249,6 +246,43 @@ fn hide(matrix: &mut [f32], columns: usize, shown: &[usize]) {
             values.fill(f32::NAN);
         }
     }
+}
+
+/// Writes the utilities `[U]` of one observation, of which the graph gets some rows; whether they are all finite.
+pub type Answers<'a> = dyn FnMut(&Observation<'_>, Rows, &mut [f32]) -> bool + 'a;
+
+/// Compares an agent's policy with what a graph answers. An agent with memory is judged with an empty one.
+pub fn compare_agents(
+    policy: &mut dyn Policy,
+    answers: &mut Answers<'_>,
+    family: &Family<OwnedObservation>,
+) -> Comparison {
+    let mut comparison = family.comparison();
+    let (mut got, mut want) = (vec![0.0; policy.actions()], vec![0.0; policy.actions()]);
+    for observation in &family.inputs {
+        let view = observation.view();
+        let mut memory = vec![0.0; policy.hidden()];
+        let ours = policy.utilities_with(&view, &mut memory, &mut got).is_ok();
+        let theirs = answers(&view, family.rows, &mut want);
+        if family.standard == Standard::Refusal {
+            comparison.add_no_number(!ours, theirs);
+            continue;
+        }
+        if !ours || !theirs {
+            comparison.add_refusal(ours == theirs);
+            continue;
+        }
+        // The choice is a path of its own in a plan.
+        memory.fill(0.0);
+        let chosen = policy.decide_with(&view, &mut memory).map(|decision| decision.action);
+        let wanted = masked_argmax(&want, view.available).map(|decision| decision.action);
+        if chosen.is_ok() && wanted.is_ok() {
+            comparison.add(&got, &want, chosen == wanted);
+        } else {
+            comparison.add_unchosen(&got, &want, chosen == wanted);
+        }
+    }
+    comparison
 }
 
 #[cfg(test)]

@@ -8,9 +8,10 @@
 use std::ffi::OsString;
 use std::io::{self, Read, Write};
 use std::os::unix::process::ExitStatusExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::Duration;
 
@@ -23,13 +24,11 @@ use sortie_attention::AttentionLayers;
 use sortie_bundle::Recording;
 
 use crate::bundle_plans::Compiler;
-use crate::ending::Ending;
-use crate::error::CompileError;
+use crate::error::{CompileError, Ending};
 use crate::facts::{InspectedOnnx, OnnxFacts};
 use crate::policy::{PolicyFacts, PolicyOptions};
 use crate::policy_plan::CompiledPolicy;
-use crate::proposal_files::ProposalFiles;
-use crate::report::{CompileOptions, Compiled};
+use crate::report::{CompileOptions, Compiled, ProposalFiles};
 
 /// What the process may use. Agents' networks need about a tenth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,6 +89,8 @@ pub struct CompilerProcess {
     program: PathBuf,
     arguments: Vec<OsString>,
     version: Option<&'static str>,
+    /// Whether the program is of that version: asked once, for all clones.
+    checked: Arc<OnceLock<()>>,
     limits: ProcessLimits,
 }
 
@@ -131,13 +132,18 @@ impl CompilerProcess {
         program: impl Into<PathBuf>,
         arguments: impl IntoIterator<Item = A>,
     ) -> Self {
-        let arguments = arguments.into_iter().map(Into::into).collect();
-        Self { program: program.into(), arguments, version: None, limits: ProcessLimits::default() }
+        Self {
+            program: program.into(),
+            arguments: arguments.into_iter().map(Into::into).collect(),
+            version: None,
+            checked: Arc::default(),
+            limits: ProcessLimits::default(),
+        }
     }
 
     /// The same, refused where the program is of another version than this: both speak a language of their own.
     pub fn of_version(self, version: &'static str) -> Self {
-        Self { version: Some(version), ..self }
+        Self { version: Some(version), checked: Arc::default(), ..self }
     }
 
     /// The same with other limits.
@@ -198,10 +204,27 @@ impl CompilerProcess {
         self.ask(Request::Attention, onnx)
     }
 
-    fn ask<T: DeserializeOwned>(&self, request: Request, onnx: &[u8]) -> Result<T, CompileError> {
-        if let Some(version) = self.version {
-            check_version(&self.program, version)?;
+    /// Refuses a program that is missing, or says with `--version` that it is of another version than
+    /// [`Self::of_version`] asks for. Every request does so first; what was good once is not asked again.
+    pub fn check_version(&self) -> Result<(), CompileError> {
+        let Some(want) = self.version.filter(|_| self.checked.get().is_none()) else {
+            return Ok(());
+        };
+        let program = || self.program.clone();
+        let said = Command::new(&self.program).arg("--version").stdin(Stdio::null()).output();
+        let said = said.map_err(|error| CompileError::not_started(program(), &error))?;
+        let said = String::from_utf8_lossy(&said.stdout);
+        let got = said.lines().next().unwrap_or_default().trim_start_matches("sortie ").trim();
+        if got != want {
+            let (got, want) = (got.to_owned(), want.to_owned());
+            return Err(CompileError::OtherVersion { program: program(), got, want });
         }
+        let _ = self.checked.set(());
+        Ok(())
+    }
+
+    fn ask<T: DeserializeOwned>(&self, request: Request, onnx: &[u8]) -> Result<T, CompileError> {
+        self.check_version()?;
         let answered = self.exchange(request, onnx);
         let not_started = |error| CompileError::not_started(self.program.clone(), &error);
         let Answered { output, in_time } = answered.map_err(not_started)?;
@@ -253,19 +276,6 @@ impl CompilerProcess {
             None => Ending::Code(status.code().unwrap_or_default()),
         }
     }
-}
-
-/// Refuses a program of Sortie that is missing, or says with `--version` that it is of another version than `want`.
-pub fn check_version(program: &Path, want: &str) -> Result<(), CompileError> {
-    let said = Command::new(program).arg("--version").stdin(Stdio::null()).output();
-    let said = said.map_err(|error| CompileError::not_started(program.to_owned(), &error))?;
-    let said = String::from_utf8_lossy(&said.stdout);
-    let got = said.lines().next().unwrap_or_default().trim_start_matches("sortie ").trim();
-    if got == want {
-        return Ok(());
-    }
-    let (program, got) = (program.to_owned(), got.to_owned());
-    Err(CompileError::OtherVersion { program, got, want: want.to_owned() })
 }
 
 /// What a process said, and whether it ended before its time was over.
@@ -351,6 +361,9 @@ pub fn read_request() -> io::Result<(Request, Vec<u8>)> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
 
     fn ends(command: &str) -> CompileError {
@@ -385,6 +398,32 @@ mod tests {
         let process = CompilerProcess::new("/nowhere/compiler", ["compiler"]);
         let error = process.inspect_onnx(&[]).unwrap_err().to_string();
         assert!(error.contains("/nowhere/compiler"), "{error}");
+    }
+
+    #[test]
+    fn a_program_is_asked_for_its_version_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let (program, asked) = (folder.path().join("program"), folder.path().join("asked"));
+        let script = |version: &str| {
+            let count = format!("[ \"$1\" = --version ] && echo >>{}", asked.display());
+            let script = format!("#!/bin/sh\n{count}\necho sortie {version}\n");
+            std::fs::write(&program, script).unwrap();
+            std::fs::set_permissions(&program, Permissions::from_mode(0o700)).unwrap();
+        };
+        let times = || std::fs::read_to_string(&asked).unwrap().lines().count();
+        let process = CompilerProcess::new(&program, ["compiler"]).of_version("1.2.3");
+        script("1.2.2");
+        for expected in 1..=2 {
+            let refused = process.inspect_onnx(&[]).unwrap_err();
+            assert!(matches!(refused, CompileError::OtherVersion { .. }), "{refused}");
+            assert_eq!(times(), expected);
+        }
+        script("1.2.3");
+        for _ in 0..3 {
+            let answered = process.clone().inspect_onnx(&[]).unwrap_err();
+            assert!(matches!(answered, CompileError::GivenUp { .. }), "{answered}");
+            assert_eq!(times(), 3);
+        }
     }
 
     #[test]

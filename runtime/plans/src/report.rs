@@ -1,12 +1,13 @@
 //! What a compiler is told, and what it tells of the plan that it made.
 
 use serde::{Deserialize, Serialize};
-use sortie_core::internal::ops::{Meaning, Members, OpRef, OutputRows};
+use sortie_core::internal::ops::{Flag, Meaning, Members, OpRef, OutputRows};
 use sortie_core::limits;
 use sortie_core::plan::{Profile, Program};
 
 use crate::comparison::Comparison;
-use crate::team_sizes::TeamSizes;
+use crate::error::CompileError;
+use crate::team_policy::TeamSizes;
 
 /// The compiler's version; a plan of another version is compiled again.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-4");
@@ -121,35 +122,26 @@ pub(crate) fn operators(program: &Program<'_>, n_max: usize) -> Vec<OperatorRepo
 }
 
 fn detail(op: OpRef<'_>) -> String {
-    let relu = |relu: bool| if relu { ", relu" } else { "" };
-    let skip = |skips: bool| if skips { ", skip" } else { "" };
+    let relu = |relu: Flag| if relu.is_set() { ", relu" } else { "" };
+    let heads = |heads: u16| format!("{heads} {}", if heads == 1 { "head" } else { "heads" });
+    let rows = |inputs: u16, outputs: u16, is_relu: Flag| {
+        format!("[N, {inputs}] -> [N, {outputs}]{}", relu(is_relu))
+    };
+    let layer = |inputs: u16, outputs: u16, is_relu: Flag| {
+        format!("[{inputs}] -> [{outputs}]{}", relu(is_relu))
+    };
+    let own = |[width, outputs, count]: [u16; 3], skips: bool, is_relu: Flag| {
+        let (skip, relu) = (if skips { ", skip" } else { "" }, relu(is_relu));
+        format!("[N, {width}] -> [{outputs}], {}{skip}{relu}", heads(count))
+    };
     match op {
-        OpRef::EmbedEntities(op) => {
-            format!(
-                "[N, {}] -> [N, {}]{}",
-                op.layer.inputs,
-                op.layer.outputs,
-                relu(op.relu.is_set())
-            )
-        }
-        OpRef::AttendOwn(op) => {
-            let heads = if op.heads == 1 { "head" } else { "heads" };
-            let (width, outputs) = (op.width, op.output.outputs);
-            let (skip, relu) = (skip(op.skips()), relu(op.relu.is_set()));
-            format!("[N, {width}] -> [{outputs}], {} {heads}{skip}{relu}", op.heads)
-        }
-        OpRef::Dense(op) => {
-            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu.is_set()))
-        }
+        OpRef::EmbedEntities(op) => rows(op.layer.inputs, op.layer.outputs, op.relu),
+        OpRef::AttendOwn(op) => own([op.width, op.output.outputs, op.heads], op.skips(), op.relu),
+        OpRef::Dense(op) => layer(op.layer.inputs, op.layer.outputs, op.relu),
         OpRef::Gru(op) => format!("[{}], state [{}]", op.input.inputs, op.size),
         OpRef::AttendAll(op) => {
-            let heads = if op.heads == 1 { "head" } else { "heads" };
             let (width, outputs) = (op.width, op.output.outputs);
-            format!(
-                "[N, {width}] -> [N, {outputs}], {} {heads}{}",
-                op.heads,
-                relu(op.relu.is_set())
-            )
+            format!("[N, {width}] -> [N, {outputs}], {}{}", heads(op.heads), relu(op.relu))
         }
         OpRef::MeanRows(op) => {
             let whose = if op.members == Members::Agents { "of agents" } else { "of all" };
@@ -161,23 +153,11 @@ fn detail(op: OpRef<'_>) -> String {
             OutputRows::Groups => format!("[{}, {}]", op.groups, op.width),
             _ => format!("[{}]", op.width),
         },
-        OpRef::Int8EmbedEntities(op) => {
-            format!(
-                "[N, {}] -> [N, {}]{}",
-                op.layer.inputs,
-                op.layer.outputs,
-                relu(op.relu.is_set())
-            )
-        }
+        OpRef::Int8EmbedEntities(op) => rows(op.layer.inputs, op.layer.outputs, op.relu),
         OpRef::Int8AttendOwn(op) => {
-            let heads = if op.heads == 1 { "head" } else { "heads" };
-            let (width, outputs) = (op.width, op.output.outputs);
-            let (skip, relu) = (skip(op.skips()), relu(op.relu.is_set()));
-            format!("[N, {width}] -> [{outputs}], {} {heads}{skip}{relu}", op.heads)
+            own([op.width, op.output.outputs, op.heads], op.skips(), op.relu)
         }
-        OpRef::Int8Dense(op) => {
-            format!("[{}] -> [{}]{}", op.layer.inputs, op.layer.outputs, relu(op.relu.is_set()))
-        }
+        OpRef::Int8Dense(op) => layer(op.layer.inputs, op.layer.outputs, op.relu),
         OpRef::EmbedTasks(op) => {
             let (features, tasks) = (op.embed.inputs, op.tasks.count);
             format!("[N, {features}] -> [N, {0}], [{tasks}, {0}]", op.embed.outputs)
@@ -205,7 +185,7 @@ fn detail(op: OpRef<'_>) -> String {
             format!("[{}, {}] by [{}, {}]", op.rows, op.inner, op.inner, op.columns)
         }
         OpRef::DenseRows(op) => {
-            let (rows, layer, relu) = (op.rows, &op.layer, relu(op.relu.is_set()));
+            let (rows, layer, relu) = (op.rows, &op.layer, relu(op.relu));
             format!("[{rows}, {}] -> [{rows}, {}]{relu}", layer.inputs, layer.outputs)
         }
         OpRef::GruCell(op) => format!("[{}]", op.to.len),
@@ -214,11 +194,37 @@ fn detail(op: OpRef<'_>) -> String {
             let ([height, width], [rows, columns]) = (op.size, op.kernel);
             let picture = format!("[{}, {height}, {width}]", op.channels);
             let ([height, width], outputs) = (op.result, op.layer.outputs);
-            let relu = relu(op.relu.is_set());
+            let relu = relu(op.relu);
             format!("{picture} by {rows} x {columns} -> [{outputs}, {height}, {width}]{relu}")
         }
         OpRef::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
         OpRef::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
         _ => String::new(),
+    }
+}
+
+/// The ONNX files of an allocator that proposes.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct ProposalFiles<'a> {
+    /// `allocator_trunk.onnx`
+    pub trunk: &'a [u8],
+    /// `allocator_step.onnx`
+    pub step: &'a [u8],
+    /// `allocator_critic.onnx`
+    pub critic: &'a [u8],
+}
+
+impl<'a> ProposalFiles<'a> {
+    /// The files as one, by which a plan is known.
+    pub fn joined(&self) -> Vec<u8> {
+        // Writing plain bytes to memory has no way to fail.
+        postcard::to_stdvec(self).unwrap_or_default()
+    }
+
+    /// The files of what [`Self::joined`] gave.
+    pub fn split(joined: &'a [u8]) -> Result<Self, CompileError> {
+        let unreadable =
+            |error: postcard::Error| CompileError::Unreadable { reason: error.to_string() };
+        postcard::from_bytes(joined).map_err(unreadable)
     }
 }

@@ -1,12 +1,13 @@
 //! A policy over inputs of fixed sizes as an agent of a team, whichever engine runs it.
 
+use serde::{Deserialize, Serialize};
+use sortie_bundle::{AgentGraph, Bundle, ContractV1};
 use sortie_core::choose::masked_argmax;
 use sortie_core::internal::ops::Meaning;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 
 use crate::error::CompileError;
-use crate::policy::FlatPolicy;
-use crate::team_sizes::TeamSizes;
+use crate::policy::{FlatPolicy, InputRole, OutputRole, PolicyFacts, PolicyInput};
 
 /// A policy whose inputs are what an agent observes.
 pub struct TeamPolicy {
@@ -157,5 +158,246 @@ impl Policy for TeamPolicy {
         hidden: &mut [f32],
     ) -> Result<Decision, DecideError> {
         masked_argmax(&self.run(observation, hidden)?, observation.available)
+    }
+}
+
+/// Sizes of what an agent of a team observes and does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TeamSizes {
+    /// Most entities of a team.
+    pub entities: usize,
+    /// Features d of an entity.
+    pub features: usize,
+    /// Actions U.
+    pub actions: usize,
+    /// Whether the one-hot of an entity's last action follows its features.
+    pub last_action: bool,
+}
+
+impl TeamSizes {
+    /// The sizes of a contract, and of teams of so many entities.
+    pub fn of_contract(contract: &ContractV1, entities: u16) -> Self {
+        Self {
+            entities: entities.into(),
+            features: contract.features.into(),
+            actions: contract.actions.into(),
+            last_action: contract.append_last_action,
+        }
+    }
+
+    /// What agents of a bundle observe and do that decide by one of its graphs.
+    pub fn of(bundle: &Bundle, graph: &AgentGraph) -> Self {
+        let (features, actions) = (graph.features.into(), graph.actions.into());
+        let all = Self::of_contract(bundle.contract(), bundle.manifest().limits.n_max);
+        Self { features, actions, ..all }
+    }
+
+    /// What a network over entities takes by itself: its rows are features, without last actions.
+    pub fn of_entities(facts: &PolicyFacts) -> Option<Self> {
+        let input = facts.entities()?;
+        let (entities, features) = (input.shape.iter().rev().nth(1)?, input.shape.last()?);
+        let actions = facts.wanted().find_map(|output| match output.role {
+            OutputRole::Discrete(actions) => Some(actions),
+            _ => None,
+        });
+        let (entities, features) = (*entities, *features);
+        Some(Self { entities, features, actions: actions?, last_action: false })
+    }
+
+    /// Numbers of a row.
+    pub fn row(&self) -> usize {
+        self.features + if self.last_action { self.actions } else { 0 }
+    }
+
+    /// What the inputs that a caller would give are in such a team, in their order.
+    ///
+    /// # Errors
+    /// The policy does not choose one of the actions, or an input is nothing that an agent observes.
+    pub fn meanings(&self, facts: &PolicyFacts) -> Result<Vec<Meaning>, CompileError> {
+        self.check_choice(facts)?;
+        let mut rows = facts.given().filter(|input| input.role == InputRole::Observation);
+        if let (Some(one), Some(other)) = (rows.next(), rows.next()) {
+            let names = format!("`{}` and `{}`", one.name, other.name);
+            return Err(no_agent(format!("an agent observes one row, {names} are two")));
+        }
+        facts.given().map(|input| self.meaning(input)).collect()
+    }
+
+    fn meaning(&self, input: &PolicyInput) -> Result<Meaning, CompileError> {
+        let (name, length) = (&input.name, input.length());
+        match input.role {
+            InputRole::Observation if length == self.row() => Ok(Meaning::OwnRow),
+            InputRole::Observation => Err(no_agent(format!(
+                "`{name}` has {length} numbers, an agent's own row has {} ({})",
+                self.row(),
+                self.columns()
+            ))),
+            InputRole::Available if length == self.actions => Ok(Meaning::Available),
+            InputRole::Entities { own_first } => {
+                self.check_rows(input)?;
+                Ok(if own_first { Meaning::RowsOwnFirst } else { Meaning::Rows })
+            }
+            InputRole::Mask { blocks, own_first } => Ok(match (blocks, own_first) {
+                (false, false) => Meaning::Visible,
+                (false, true) => Meaning::VisibleOwnFirst,
+                (true, false) => Meaning::Blocked,
+                (true, true) => Meaning::BlockedOwnFirst,
+            }),
+            InputRole::OwnIndex => Ok(Meaning::OwnIndex),
+            InputRole::Available | InputRole::Extra | InputRole::State => Err(no_agent(format!(
+                "`{name}` {:?} is neither an agent's own row nor its available actions",
+                input.shape
+            ))),
+        }
+    }
+
+    /// Whether the rows are an agent's, and enough of them.
+    fn check_rows(&self, input: &PolicyInput) -> Result<(), CompileError> {
+        let mut sizes = input.shape.iter().rev();
+        let (row, count) = (sizes.next().unwrap_or(&0), sizes.next().unwrap_or(&0));
+        let name = &input.name;
+        if *row != self.row() {
+            let (want, columns) = (self.row(), self.columns());
+            return Err(no_agent(format!(
+                "`{name}` has rows of {row} numbers, an entity has {want} ({columns})"
+            )));
+        }
+        if *count < self.entities {
+            let most = self.entities;
+            return Err(no_agent(format!("`{name}` has {count} rows, teams have {most} entities")));
+        }
+        Ok(())
+    }
+
+    /// What stands in a row, for people.
+    fn columns(&self) -> String {
+        let features = format!("{} features", self.features);
+        if self.last_action {
+            format!("{features} and the one-hot of its last action among {}", self.actions)
+        } else {
+            format!("{features}, its last action is none of them")
+        }
+    }
+
+    fn check_choice(&self, facts: &PolicyFacts) -> Result<(), CompileError> {
+        let want = self.actions;
+        let outputs: Vec<_> = facts.wanted().collect();
+        let [output] = outputs.as_slice() else {
+            let names: Vec<_> = outputs.iter().map(|output| output.name.as_str()).collect();
+            let names = names.join("`, `");
+            let reason = format!("it has several outputs, `{names}`: `--output NAME` says which");
+            return Err(no_agent(reason));
+        };
+        let name = &output.name;
+        match output.role {
+            OutputRole::Discrete(got) if got != want => {
+                Err(no_agent(format!("`{name}` chooses among {got} actions, an agent has {want}")))
+            }
+            // A choice among several is as many choices as there are rows.
+            OutputRole::Discrete(_) if ![1, want].contains(&output.length()) => {
+                let shape = &output.shape;
+                Err(no_agent(format!("`{name}` {shape:?} is more than one choice")))
+            }
+            OutputRole::Discrete(_) => Ok(()),
+            OutputRole::Continuous(_) | OutputRole::State => Err(no_agent(format!(
+                "`{name}` {:?} is no choice of one of {want} actions; where its numbers are the actions' scores, \
+                 write `--output {name}:discrete`",
+                output.shape
+            ))),
+        }
+    }
+}
+
+fn no_agent(reason: String) -> CompileError {
+    CompileError::NoAgent { reason }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::{PolicyOutput, ValueType};
+
+    fn facts(
+        inputs: &[(&str, usize, InputRole)],
+        output: OutputRole,
+        length: usize,
+    ) -> PolicyFacts {
+        let input = |(name, length, role): &(&str, usize, InputRole)| PolicyInput {
+            name: (*name).to_owned(),
+            kind: ValueType::F32,
+            shape: vec![1, *length],
+            role: *role,
+        };
+        let (name, kind, shape) = ("q".to_owned(), ValueType::F32, vec![1, length]);
+        PolicyFacts {
+            inputs: inputs.iter().map(input).collect(),
+            outputs: vec![PolicyOutput { name, kind, shape, role: output }],
+            states: Vec::new(),
+            operators: Default::default(),
+            parameters: 0,
+            multiply_adds: None,
+        }
+    }
+
+    const TEAM: TeamSizes = TeamSizes { entities: 4, features: 5, actions: 3, last_action: true };
+
+    fn refused(facts: &PolicyFacts) -> String {
+        TEAM.meanings(facts).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn an_agent_observes_its_row_and_its_available_actions() {
+        let inputs = [
+            ("mask", 3, InputRole::Available),
+            ("h", 9, InputRole::State),
+            ("obs", 8, InputRole::Observation),
+        ];
+        let facts = facts(&inputs, OutputRole::Discrete(3), 3);
+        assert_eq!(TEAM.meanings(&facts).unwrap(), [Meaning::Available, Meaning::OwnRow]);
+        let without = TeamSizes { last_action: false, ..TEAM };
+        let reason = without.meanings(&facts).unwrap_err().to_string();
+        assert!(reason.ends_with(
+            "`obs` has 8 numbers, an agent's own row has 5 (5 features, its last action is none of them)"
+        ));
+    }
+
+    #[test]
+    fn an_agent_observes_entities() {
+        let rows = |count, width, own_first| {
+            let role = InputRole::Entities { own_first };
+            let mut facts = facts(&[("seen", 0, role)], OutputRole::Discrete(3), 3);
+            facts.inputs[0].shape = vec![1, count, width];
+            facts
+        };
+        assert_eq!(TEAM.meanings(&rows(4, 8, true)).unwrap(), [Meaning::RowsOwnFirst]);
+        assert_eq!(TEAM.meanings(&rows(6, 8, false)).unwrap(), [Meaning::Rows]);
+        let narrow = refused(&rows(4, 5, true));
+        assert!(narrow.contains("`seen` has rows of 5 numbers, an entity has 8 (5 features"));
+        assert!(refused(&rows(3, 8, true)).ends_with("`seen` has 3 rows, teams have 4 entities"));
+        let alone = TeamSizes::of_entities(&rows(6, 8, true));
+        let want = TeamSizes { entities: 6, features: 8, actions: 3, last_action: false };
+        assert_eq!(alone, Some(want));
+        let role = InputRole::Mask { blocks: true, own_first: false };
+        let mask = facts(&[("pad", 4, role)], OutputRole::Discrete(3), 3);
+        assert_eq!(TEAM.meanings(&mask).unwrap(), [Meaning::Blocked]);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_named() {
+        let row = [("obs", 8, InputRole::Observation)];
+        let short = [("obs", 5, InputRole::Observation)];
+        let other = [row[0], ("time", 1, InputRole::Extra)];
+        let two = [row[0], ("more", 8, InputRole::Observation)];
+        let (choice, scores) = (OutputRole::Discrete(3), OutputRole::Continuous(3));
+        for (facts, words) in [
+            (facts(&short, choice, 3), "`obs` has 5 numbers, an agent's own row has 8"),
+            (facts(&other, choice, 3), "`time` [1, 1] is neither"),
+            (facts(&two, choice, 3), "`obs` and `more` are two"),
+            (facts(&row, OutputRole::Discrete(4), 4), "chooses among 4 actions, an agent has 3"),
+            (facts(&row, choice, 6), "more than one choice"),
+            (facts(&row, scores, 3), "`--output q:discrete`"),
+        ] {
+            assert!(refused(&facts).contains(words), "{}", refused(&facts));
+        }
     }
 }

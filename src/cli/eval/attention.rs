@@ -54,7 +54,6 @@ impl<'a> Watching<'a> {
         Self { team, looks: BTreeMap::new(), companions: Vec::new() }
     }
 
-    /// The team itself.
     pub(super) fn team(&mut self) -> &mut dyn Act {
         self.team
     }
@@ -157,7 +156,6 @@ impl Attention {
         [true, false].map(mean)
     }
 
-    /// The tables for people.
     pub(super) fn print(&self) {
         let splits = !self.by_companion.is_empty();
         say!();

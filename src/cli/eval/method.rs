@@ -10,16 +10,15 @@ use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play::{PolicyTeam, evaluate_watched};
 
 use super::attention::{Attention, Watching};
-use super::{BySeed, EvalArguments, table};
+use super::{BySeed, EvalArguments, print_tables};
 use crate::deployment::open_bundle;
-use crate::environment::{ScenarioSetName, check_fits};
+use crate::environment::{ScenarioSetName, Scripted, check_fits};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::methods::{LearnedMethod, choose};
 use crate::output::{plural, print_json, say};
 use crate::policy::{DeployedPolicy, PlanProfile};
-use crate::progress::{self, CountedEpisodes};
-use crate::scripted::Scripted;
 use crate::seeds::SeedRange;
+use crate::terminal::{self, CountedEpisodes};
 
 #[derive(Serialize)]
 struct Report<'a> {
@@ -45,7 +44,6 @@ pub(super) fn flat_bundle(folder: &Path) -> Result<Option<Bundle>, Failure> {
     Ok(is_flat.then_some(bundle))
 }
 
-/// Measures a bundle.
 pub(super) fn play_bundle(arguments: &EvalArguments, bundle: &Bundle) -> Outcome {
     check(arguments)?;
     let trained_on = &bundle.manifest().contract.environment.name;
@@ -92,7 +90,7 @@ fn play_team(
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));
     let episodes = arguments.episodes as usize;
     let all = (episodes as u64).saturating_mul(seeds.iter().count() as u64);
-    let bar = progress::bar(arguments.common, all, "episodes");
+    let bar = terminal::bar(arguments.common, all, "episodes");
     let mut counted = CountedEpisodes { bar: &bar, next: &mut () };
     let mut watching = Watching::new(team);
     let mut play = |seed| {
@@ -127,7 +125,7 @@ fn play_team(
         return Ok(());
     }
     say!("{env}: {subject}, {}", plural(evaluation.episodes, "episode"));
-    table::print(&evaluation, environment.spec(), by_seed.as_ref());
+    print_tables(&evaluation, environment.spec(), by_seed.as_ref());
     attention.iter().for_each(Attention::print);
     Ok(())
 }

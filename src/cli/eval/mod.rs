@@ -2,7 +2,6 @@
 
 mod attention;
 mod method;
-mod table;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -18,21 +17,16 @@ use sortie_methods::alma::teams::{Allocate, PolicyTeam, ScriptedActors, Team};
 
 use self::method::{flat_bundle, play_bundle, play_method, play_script};
 use crate::allocation::AllocatorChoice;
+use crate::allocator::ProposalArguments;
 use crate::environment::{self, ScenarioSetName};
-use crate::episodes::EpisodeWriter;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::files::{Kind, try_output};
+use crate::files::{EpisodeWriter, Kind, RecordingPolicy, try_output};
 use crate::methods::LearnedMethod;
-use crate::observations::RecordingPolicy;
-use crate::options::Common;
-use crate::output::{plural, print_json, say};
-use crate::policy::PlanProfile;
-use crate::policy::{Backend, DeployedPolicy};
-use crate::progress::{self, CountedEpisodes};
-use crate::proposals::ProposalArguments;
+use crate::output::{Common, Table, plural, print_json, say};
+use crate::policy::{Backend, DeployedPolicy, PlanProfile};
 use crate::seeds::SeedRange;
-use crate::subject::Subject;
-use crate::subject_allocator;
+use crate::subject::{self, Subject};
+use crate::terminal::{self, CountedEpisodes};
 
 /// Evaluate a team over fresh greedy episodes
 ///
@@ -163,7 +157,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));
     let episodes = u64::from(arguments.episodes).saturating_mul(seeds.iter().count() as u64);
-    let bar = progress::bar(arguments.common, episodes, "episodes");
+    let bar = terminal::bar(arguments.common, episodes, "episodes");
     let playing = Match { arguments, subject, other, set, bar };
     let played = seeds.iter().map(|seed| Ok((seed, playing.play(seed)?)));
     let mut played: Vec<(u64, Played)> = played.collect::<Result<_, Failure>>()?;
@@ -243,7 +237,7 @@ impl Match<'_> {
         let owner = other.as_ref().unwrap_or(subject);
         let name = arguments.allocator.as_ref().unwrap_or(&arguments.subject).to_string_lossy();
         let draws = (arguments.proposals, seed);
-        let (allocation, mut allocator) = subject_allocator::open_for(
+        let (allocation, mut allocator) = subject::open_for(
             (subject, set.entry()),
             asked,
             owner,
@@ -334,5 +328,61 @@ fn print(playing: &Match<'_>, played: &Played, spec: &Spec, by_seed: Option<&ByS
              ({changed} of {decisions} decisions changed)"
         );
     }
-    table::print(evaluation, spec, by_seed);
+    print_tables(evaluation, spec, by_seed);
+}
+
+fn print_tables(evaluation: &Evaluation, spec: &Spec, by_seed: Option<&BySeed>) {
+    let Evaluation { success, success_ci95: [low, high], return_mean, return_sd, .. } = evaluation;
+    let mut table = Table::new(&["figure", "value"]);
+    let mut row = |name: &str, value: String| table.row([name.to_string(), value]);
+    let success = ("success", format!("{success:.3} ({low:.3} to {high:.3})"));
+    let returned = ("return", format!("{return_mean:.2} (sd {return_sd:.2})"));
+    let (first, by_seed) = match spec.has_success {
+        true => (&success, by_seed.map(|by_seed| (&by_seed.success, by_seed.success_sd, 3))),
+        false => (&returned, by_seed.map(|by_seed| (&by_seed.returns, by_seed.returns_sd, 2))),
+    };
+    row(first.0, first.1.clone());
+    if let Some((of_seeds, sd, digits)) = by_seed {
+        let least = of_seeds.values().copied().fold(f64::INFINITY, f64::min);
+        let most = of_seeds.values().copied().fold(f64::NEG_INFINITY, f64::max);
+        let name = format!("of {}", plural(of_seeds.len(), "seed"));
+        row(&name, format!("sd {sd:.digits$} ({least:.digits$} to {most:.digits$})"));
+    }
+    for metric in spec.metrics {
+        if let Some(value) = evaluation.metrics.get(metric.name) {
+            row(metric.about, format!("{value:.3}"));
+        }
+    }
+    if spec.has_success {
+        row("time-outs", format!("{:.3}", evaluation.timeouts));
+        row(returned.0, returned.1);
+    }
+    row("steps", format!("{:.1}", evaluation.length_mean));
+    table.print();
+    if !evaluation.failures.is_empty() {
+        say!();
+        print_failures(evaluation);
+    }
+    if spec.has_success {
+        say!();
+        print_teams(evaluation);
+    }
+}
+
+fn print_teams(evaluation: &Evaluation) {
+    let mut teams = Table::new(&["team", "episodes", "success"]);
+    for (team, success) in &evaluation.by_team {
+        let share = success.solved as f64 / success.episodes.max(1) as f64;
+        teams.row([team.clone(), success.episodes.to_string(), format!("{share:.3}")]);
+    }
+    teams.print();
+}
+
+fn print_failures(evaluation: &Evaluation) {
+    let mut causes = Table::new(&["cause of failure", "episodes", "share"]);
+    for (cause, count) in &evaluation.failures {
+        let share = *count as f64 / evaluation.episodes.max(1) as f64;
+        causes.row([cause.clone(), count.to_string(), format!("{share:.3}")]);
+    }
+    causes.print();
 }

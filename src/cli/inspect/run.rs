@@ -10,12 +10,10 @@ use sortie_learn::report::{FinalResult, Row, RunRecord};
 
 use crate::failure::Outcome;
 use crate::output::{Table, print_json, say, wrapped};
-use crate::terminal::line_width;
-use crate::terminal_curve::terminal_curve;
+use crate::terminal::{line_width, terminal_curve};
 
 /// Evaluations that the table shows.
 const SHOWN: usize = 8;
-/// Lines of the curve.
 const CURVE_HEIGHT: usize = 11;
 
 #[derive(Serialize)]

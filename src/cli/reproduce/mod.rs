@@ -1,6 +1,5 @@
 //! `sortie reproduce`: figures and tables of the dissertation, learned and measured anew.
 
-mod came;
 mod recipe;
 
 use std::fs;
@@ -14,14 +13,11 @@ use sortie_learn::session::Setup;
 
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::write_output;
-use crate::options::Common;
-use crate::output::{Table, plural, print_json, say, tell};
-use crate::progress::bar;
+use crate::output::{Common, Table, plural, print_json, say, tell};
 use crate::seeds::SeedRange;
-use crate::signals::stop_on_signals;
+use crate::terminal::{bar, stop_on_signals};
 use crate::train::{Sweep, learn_all, run_folder, suffixed};
-use came::{Came, Measured, Row};
-use recipe::{Case, Figure, Method, OWN, Recipes, slug};
+use recipe::{Came, Case, Figure, Measured, Method, OWN, Recipes, Row, slug};
 
 /// Redo a figure or table of the dissertation: learn what is missing, and lay it beside what was published
 ///

@@ -1,14 +1,9 @@
 //! `sortie run`: deploys a bundle's team in a built-in world.
 
-mod keyboard;
-mod ledger;
 mod onlooker;
 mod picture;
 pub(crate) mod process;
-pub(crate) mod registry;
 mod report;
-mod scheduling;
-mod screen;
 mod team;
 pub(crate) mod up;
 pub mod world;
@@ -29,14 +24,12 @@ use self::report::{Manner, Setup, report};
 use self::team::Team;
 use self::world::open_world;
 use crate::allocation::{AllocatorChoice, name_of};
-use crate::allocator::DeployedAllocator;
+use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::{domain_contract, open_bundle};
 use crate::failure::Outcome;
-use crate::options::Common;
+use crate::output::Common;
 use crate::policy::{Backend, DeployedPolicy};
-use crate::proposals::ProposalArguments;
-use crate::signals::stop_on_signals;
-use crate::terminal;
+use crate::terminal::{self, stop_on_signals};
 use crate::worlds::world::EnvironmentWorld;
 
 /// Ticks a second at which a person can follow.

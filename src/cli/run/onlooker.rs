@@ -1,20 +1,22 @@
 //! Watches the world of a run: collects latencies, shows what is played.
 
 use std::collections::BTreeSet;
+use std::fs;
+use std::path::PathBuf;
 
+use serde::{Deserialize, Serialize};
 use sortie_core::roles::{TickReport, WorldObserver};
 use sortie_core::wire::{AllocMsg, StatMsg};
 use sortie_core::{NO_ACTION, UNASSIGNED, limits};
 use sortie_envs::Episode;
-use sortie_ipc::Stop;
+use sortie_ipc::{Domain, Stop};
 
-use super::keyboard::Keyboard;
-use super::ledger::Ledger;
-use super::picture::{self, Picture};
-use super::screen::Screen;
+use super::picture::{self, Keyboard, Picture, Screen};
+use crate::failure::Failure;
 use crate::latency::Latency;
 use crate::output::tell;
 use crate::views::{Scene, View, view_of};
+use crate::worlds::tally::Tally;
 use crate::worlds::world::{EnvironmentWorld, SharedEnvironment, SharedTally};
 
 /// How a run is shown while it goes on.
@@ -39,7 +41,7 @@ pub(super) struct Onlooker {
     state: Vec<u8>,
     tally: SharedTally,
     /// Episodes of worlds before this one.
-    earlier: usize,
+    pub(super) earlier: usize,
     ledger: Option<Ledger>,
     allocation: [u8; limits::AGENTS],
     actions: [u16; limits::AGENTS],
@@ -141,14 +143,6 @@ impl Onlooker {
         };
         self.screen.show(|canvas| picture::lines(&picture, self.view, canvas));
     }
-}
-
-/// What is kept of the finished episodes.
-impl Onlooker {
-    /// Episodes that worlds before this one have played.
-    pub(super) fn earlier(&self) -> usize {
-        self.earlier
-    }
 
     /// Forgets what is kept for a next world.
     pub(super) fn close(self) {
@@ -230,4 +224,53 @@ fn episode_line(
     };
     let of = episodes.map_or(String::new(), |episodes| format!(" of {episodes}"));
     format!("episode {number:3}{of}: {:8}  {end:9}  {what}", episode.group)
+}
+
+/// The file's name. It goes with the domain.
+const FILE: &str = "played.json";
+
+/// The played episodes of a domain.
+pub(super) struct Ledger {
+    path: PathBuf,
+    playing: String,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Page<T> {
+    /// What was played: episodes of anything else do not count.
+    playing: String,
+    tally: T,
+}
+
+impl Ledger {
+    /// That of `domain` for what is to be played.
+    pub(super) fn new(domain: &Domain, playing: String) -> Self {
+        Self { path: domain.base().join(FILE), playing }
+    }
+
+    /// What a world of a team that is still there had played when it died.
+    pub(super) fn read(&self, domain: &Domain) -> Result<Tally, Failure> {
+        // Where nobody is left, the file is of a team that is dead as well.
+        if !domain.is_alive()? {
+            return Ok(Tally::default());
+        }
+        let text = fs::read(&self.path).unwrap_or_default();
+        let page: Option<Page<Tally>> = serde_json::from_slice(&text).ok();
+        let page = page.filter(|page| page.playing == self.playing);
+        Ok(page.map(|page| page.tally).unwrap_or_default())
+    }
+
+    /// Writes what is played. Where that fails, the next world counts from an earlier episode.
+    pub(super) fn write(&self, tally: &Tally) {
+        let page = Page { playing: self.playing.clone(), tally };
+        let unfinished = self.path.with_extension("new");
+        let text = serde_json::to_vec(&page).unwrap_or_default();
+        let _ = fs::write(&unfinished, text).and_then(|()| fs::rename(&unfinished, &self.path));
+    }
+
+    /// Forgets it all, once it is reported.
+    pub(super) fn close(self) {
+        // It may be gone with its domain.
+        let _ = fs::remove_file(self.path);
+    }
 }

@@ -63,7 +63,7 @@ pub(super) fn report(
     if !has_ended_well && tally.episodes == 0 {
         return;
     }
-    let report = Report::new((tally, spec), onlooker.earlier(), &onlooker.figures, setup);
+    let report = Report::new((tally, spec), onlooker.earlier, &onlooker.figures, setup);
     match manner {
         Manner::Json => print_json(&report),
         Manner::Tables => report.print(&onlooker.figures),
@@ -109,7 +109,6 @@ impl Report {
         }
     }
 
-    /// The tables for people.
     fn print(&self, figures: &Figures) {
         let over = format!("{}, {}", plural(self.episodes, "episode"), self.allocated());
         let returned = format!("mean return {:.1}", self.return_mean);

@@ -10,19 +10,15 @@ use sortie_ipc::{
     Charge, Domain, DomainContract, Error, RestartPolicy, SupervisorEvent, group_agents, supervise,
 };
 
-use super::scheduling::{Scheduling, check_cores};
-use super::team::Team;
+use super::team::{Scheduling, Team, check_cores};
 use super::world::{Playing, open_world};
 use crate::allocation::AllocatorChoice;
-use crate::allocator::DeployedAllocator;
+use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::{domain_contract, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
-use crate::options::Common;
-use crate::output::{tell, wrapped};
+use crate::output::{Common, tell, wrapped};
 use crate::policy::{Backend, DeployedPolicy};
-use crate::proposals::ProposalArguments;
-use crate::signals::stop_on_signals;
-use crate::terminal::line_width;
+use crate::terminal::{line_width, stop_on_signals};
 
 /// Keep a bundle's team running: world, runners, a leading allocator and its standbys, supervised
 ///

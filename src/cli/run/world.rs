@@ -12,8 +12,7 @@ use sortie_ipc::{
     world_process_with_fill,
 };
 
-use super::ledger::Ledger;
-use super::onlooker::{Display, Onlooker};
+use super::onlooker::{Display, Ledger, Onlooker};
 use super::report::{Manner, Setup, report};
 use super::{positive_seconds, rate};
 use crate::allocation::{AllocatorChoice, name_of};
@@ -94,7 +93,7 @@ pub(super) fn play(
     let display = if team.json || team.quiet { Display::Silent } else { Display::Lines };
     let episodes = playing.episodes.map(|episodes| episodes as usize);
     let mut onlooker = Onlooker::new(display, episodes, &world, Some(ledger));
-    let left = episodes.map(|episodes| episodes.saturating_sub(onlooker.earlier()));
+    let left = episodes.map(|episodes| episodes.saturating_sub(onlooker.earlier));
     let ended = match left {
         // The world before died after its last episode.
         Some(0) => Ok(()),

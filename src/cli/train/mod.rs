@@ -1,34 +1,35 @@
 //! `sortie train`: learns a team and writes a run that can be watched, resumed and exported.
 
-mod configuration;
-mod method;
 mod reporter;
-mod seeds;
 mod sweep;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use std::sync::atomic::Ordering;
-use std::thread;
 use std::time::{Duration, Instant};
+use std::{fs, thread};
 
+use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use sortie_bundle::TRAINING;
 use sortie_ipc::Stop;
 use sortie_learn::LearnError;
-use sortie_learn::run::{Outcome as Ending, RunDescription, method_of, prolong, replace_products};
-use sortie_learn::session::{Session, Setup};
+use sortie_learn::run::{
+    Outcome as Ending, RunDescription, keys_in, method_of, prolong, replace_products,
+};
+use sortie_learn::session::{MethodEntry, Session, Setup};
+use sortie_methods::METHODS;
 
 use crate::allocation::Allocation;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::methods;
-use crate::options::Common;
-use crate::output::{self, say, tell, warn_of_refused};
+use crate::output::{self, Common, say, tell, warn_of_refused};
 use crate::seeds::SeedRange;
-use crate::signals::stop_on_signals;
-use configuration::setup;
-use method::Method;
+use crate::terminal::stop_on_signals;
 use reporter::Reporter;
+
 pub(crate) use sweep::{Sweep, learn_all, run_folder, suffixed};
 
 /// Learn a team's policy and write the run to a folder
@@ -178,7 +179,7 @@ pub(crate) fn checked(arguments: &TrainArguments) -> Result<Setup, Failure> {
 fn sweep(seeds: SeedRange, mut setup: Setup, arguments: &TrainArguments, stop: &Stop) -> Outcome {
     setup.run.settle_products()?;
     let out = arguments.out.clone().unwrap_or_else(|| usual_folder(arguments, &setup));
-    seeds::run(seeds, &setup, arguments.threads.unwrap_or(1), &out, arguments.common, stop)
+    sweep::run(seeds, &setup, arguments.threads.unwrap_or(1), &out, arguments.common, stop)
 }
 
 /// Where runs go for which no folder is named, without their seeds.
@@ -287,5 +288,62 @@ fn threads(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(threads) if (1..=1024).contains(&threads) => Ok(threads),
         _ => Err("expected a number of threads from 1 to 1024".to_string()),
+    }
+}
+
+/// The setup that the command line asks for.
+fn setup(arguments: &TrainArguments) -> Result<Setup, Failure> {
+    let entry = arguments.method.0;
+    let mut given = BTreeSet::new();
+    let mut setup = match &arguments.config {
+        Some(path) => {
+            let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
+            let read = entry.read(&text).and_then(|setup| Ok((setup, keys_in(&text)?)));
+            let (setup, keys) =
+                read.map_err(|error| Failure::from(error).within(path.display()))?;
+            given.extend(keys);
+            setup
+        }
+        None => entry.preset(&arguments.preset)?,
+    };
+    if let Some(name) = &arguments.env {
+        methods::choose(&mut setup.environment, name)?;
+    }
+    if arguments.config.is_none() {
+        methods::suit(entry, &arguments.preset, &mut setup)?;
+    }
+    for (flag, value) in [
+        ("--allocation", arguments.allocation.map(Allocation::name)),
+        ("--mixer", arguments.mixer.map(Mixer::name)),
+        ("--no-mask", arguments.no_mask.then_some("")),
+    ] {
+        if let Some(value) = value {
+            setup = entry.set_flag(&setup, flag, value)?;
+        }
+    }
+    if let Some(steps) = arguments.steps {
+        setup.run.steps = steps;
+    }
+    for assignment in &arguments.assignments {
+        setup = entry.set(&setup, assignment)?;
+        given.extend(assignment.split_once('=').map(|(key, _)| key.trim().to_owned()));
+    }
+    entry.fit_to_length(&mut setup, |key| given.contains(key));
+    methods::settle(entry, &mut setup.environment)?;
+    Ok(setup)
+}
+
+/// What learns.
+#[derive(Clone, Copy, Debug)]
+struct Method(&'static MethodEntry);
+
+impl ValueEnum for Method {
+    fn value_variants<'a>() -> &'a [Self] {
+        static ALL: LazyLock<Vec<Method>> = LazyLock::new(|| METHODS.iter().map(Method).collect());
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.0.name).help(self.0.about))
     }
 }

@@ -6,9 +6,8 @@ use sortie_learn::Session;
 use sortie_learn::evaluate::{Evaluation, Score};
 use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult, TrainingPoint};
 
-use crate::options::Common;
-use crate::output::{print_json, say, tell};
-use crate::terminal_curve::terminal_curve;
+use crate::output::{Common, print_json, say, tell};
+use crate::terminal::terminal_curve;
 
 /// Lines of the curve below the progress bar.
 const CURVE_HEIGHT: usize = 11;

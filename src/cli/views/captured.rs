@@ -1,12 +1,25 @@
-//! Plays an episode in which nobody is allocated, and keeps what its page shows.
+//! Episodes of teams without subtasks: plays one in which nobody is allocated, and keeps what its page shows; with what agents
+//! think, utilities and attention of a run's network or of a bundle's.
 
 use serde::Serialize;
+use sortie_bundle::Bundle;
+use sortie_core::choose::masked_argmax;
+use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_envs::{Environment, Random, Split};
-use sortie_learn::play::{Onlooker, Watched, watch};
+use sortie_learn::play::{Onlooker, PolicyTeam, Watched, watch};
 use sortie_learn::{Act, LearnError, Scenes};
-use sortie_stage::{Glance, Head, Show, Shown, Thought, rounded};
+use sortie_methods::alma::agents::NetworkPolicy;
+use sortie_plans::{AttentionLayers, AttentionProbe, roles_of};
+use sortie_stage::{Glance, Head, Show, Shown, rounded};
 
-use crate::failure::Failure;
+use super::Wanted;
+use crate::environment::{Scripted, check_fits};
+use crate::failure::{Exit, Failure};
+use crate::policy::{Backend, DeployedPolicy};
+use crate::subject::Subject;
+use crate::tools::compiler;
+
+pub(super) use sortie_stage::Thought;
 
 /// An episode as it went.
 #[derive(Serialize)]
@@ -138,5 +151,155 @@ fn told(thought: sortie_learn::Thought) -> Thought {
     Thought {
         heads: thought.heads.into_iter().map(head).collect(),
         ..Thought::new(&thought.scores, thought.attention)
+    }
+}
+
+/// Has the subject play an episode in which nobody is allocated, and keeps what agents of a bundle thought in it. Returns
+/// what was played in as well.
+pub(super) fn played<S: Show>(
+    wanted: &Wanted<'_>,
+    subject: &Subject,
+) -> Result<(String, Captured<S>), Failure> {
+    let set = wanted.set.clone().unwrap_or_default();
+    if let Some(asked) = wanted.allocation {
+        return Err(asked.of_no_use());
+    }
+    let (env, world) = (set.to_string(), set.open(Split::Test)?);
+    let captured = match subject {
+        Subject::Scripted => {
+            acted(wanted, &*world, &mut Scripted::of(&set, &*world, wanted.seed)?)?
+        }
+        Subject::Bundle(bundle) => {
+            check_fits(bundle, &set)?;
+            let mut deployed = DeployedPolicy::open(bundle, Backend::Plan)?;
+            let mut mind = DeployedMind::new(bundle, deployed.team()?)?;
+            let mut diary = Diary::new(&mut mind);
+            let mut captured = acted(wanted, &*world, &mut PolicyTeam::new(&mut diary))?;
+            captured.give_thoughts(diary.thoughts);
+            captured
+        }
+        Subject::Run(_) => {
+            let subject = wanted.subject.display();
+            let message = format!("`{subject}` has learned in another environment than `{set}`");
+            return Err(Failure::new(Exit::Mismatch, message));
+        }
+    };
+    Ok((env, captured))
+}
+
+/// Has a team play the episode.
+pub(super) fn acted<S: Show>(
+    wanted: &Wanted<'_>,
+    world: &dyn Environment,
+    team: &mut dyn Act,
+) -> Result<Captured<S>, Failure> {
+    // As evaluations number them.
+    capture(world, (wanted.seed, wanted.episode), team)
+}
+
+/// A policy that also tells what it attends to.
+pub(super) trait Mind: Policy {
+    /// Every visible entity with its weights `[heads]`, once the utilities of the same observation
+    /// have been asked for.
+    fn attention(
+        &mut self,
+        observation: &Observation<'_>,
+    ) -> Result<Vec<(usize, Vec<f32>)>, DecideError>;
+}
+
+impl Mind for NetworkPolicy<'_> {
+    fn attention(
+        &mut self,
+        observation: &Observation<'_>,
+    ) -> Result<Vec<(usize, Vec<f32>)>, DecideError> {
+        let attention = NetworkPolicy::attention(self, observation);
+        Ok(attention.map(|(entity, weights)| (entity, weights.to_vec())).collect())
+    }
+}
+
+/// What tells whom a bundle's agents attend to; none where they attend to nobody that is known.
+pub(super) fn attention_of(bundle: &Bundle) -> Result<Option<AttentionLayers>, Failure> {
+    let attends = bundle.options().is_none() && roles_of(bundle)?.is_none();
+    Ok(attends.then(|| compiler().attention(bundle.agent_onnx())).transpose()?)
+}
+
+/// A bundle as deployed, with the attention read from its graph.
+pub(super) struct DeployedMind<'a> {
+    policy: Box<dyn Policy + 'a>,
+    /// None where the network attends to nothing that is known.
+    probe: Option<AttentionProbe>,
+}
+
+impl<'a> DeployedMind<'a> {
+    pub(super) fn new(bundle: &Bundle, policy: Box<dyn Policy + 'a>) -> Result<Self, Failure> {
+        let features = usize::from(bundle.contract().features);
+        let probe = attention_of(bundle)?.map(|layers| AttentionProbe::new(layers, features));
+        Ok(Self { policy, probe })
+    }
+}
+
+impl Policy for DeployedMind<'_> {
+    fn actions(&self) -> usize {
+        self.policy.actions()
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.policy.utilities(observation, utilities)
+    }
+
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        self.policy.decide(observation)
+    }
+
+    fn begin_episode(&mut self) -> bool {
+        self.policy.begin_episode()
+    }
+}
+
+impl Mind for DeployedMind<'_> {
+    fn attention(
+        &mut self,
+        observation: &Observation<'_>,
+    ) -> Result<Vec<(usize, Vec<f32>)>, DecideError> {
+        let attention = self.probe.as_ref().map(|probe| probe.by_entity(observation));
+        attention.unwrap_or_else(|| Ok(Vec::new()))
+    }
+}
+
+/// Decides by a mind and notes every thought, in the order of the decisions.
+pub(super) struct Diary<'a> {
+    mind: &'a mut dyn Mind,
+    pub(super) thoughts: Vec<Thought>,
+}
+
+impl<'a> Diary<'a> {
+    pub(super) fn new(mind: &'a mut dyn Mind) -> Self {
+        Self { mind, thoughts: Vec::new() }
+    }
+}
+
+impl Policy for Diary<'_> {
+    fn actions(&self) -> usize {
+        self.mind.actions()
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.mind.utilities(observation, utilities)
+    }
+
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        let mut utilities = vec![0.0; self.mind.actions()];
+        self.mind.utilities(observation, &mut utilities)?;
+        let attention = self.mind.attention(observation)?;
+        self.thoughts.push(Thought::new(&utilities, attention));
+        masked_argmax(&utilities, observation.available)
     }
 }

@@ -4,12 +4,10 @@
 
 mod captured;
 mod crafting;
-mod flat;
 mod gridworld;
 mod group_matching;
 mod live;
 mod milestones;
-mod mind;
 mod page;
 mod particle;
 mod save_the_city;
@@ -193,7 +191,6 @@ pub(crate) struct Wanted<'a> {
     pub(crate) subject: &'a Path,
     /// What is played; none for recordings.
     pub(crate) set: Option<ScenarioSetName>,
-    /// Its number.
     pub(crate) episode: usize,
     pub(crate) seed: u64,
     pub(crate) allocation: Option<AllocatorChoice>,
@@ -201,7 +198,6 @@ pub(crate) struct Wanted<'a> {
     pub(crate) policy: Option<&'a Path>,
 }
 
-/// A page.
 pub(crate) struct Page {
     pub(crate) html: String,
     /// Steps of its episode.

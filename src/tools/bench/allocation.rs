@@ -4,21 +4,20 @@ use std::path::PathBuf;
 
 use clap::Args;
 use sortie_bundle::{Bundle, OwnedAllocationState};
+use sortie_cli::allocator::{LearnedAllocator, ProposalArguments, ProposalMemory, none_learned};
+use sortie_cli::deployment::open_bundle;
+use sortie_cli::environment::{ScenarioSetName, entry_of};
+use sortie_cli::failure::{Exit, Failure, Outcome};
+use sortie_cli::policy::{Backend, DeployedPolicy};
+use sortie_cli::tools::OnnxRuntimeArguments;
+use sortie_cli::worlds::{FrameRelation, relation};
 use sortie_core::allocate::{TaskRelation, TeamQuery, Teams, exact};
 use sortie_core::{AllocateError, AllocationState, Allocator};
 use sortie_plans::{BatchedValues, OnnxRuntimeEngine};
 
-use super::cases::some;
 use super::rounds::{alternate_long, engine, our_engine};
-use super::{Figures, Measuring, OURS, TRACT_VERSION, pin, scenes};
-use sortie_cli::allocator::{LearnedAllocator, none_learned};
-use sortie_cli::deployment::open_bundle;
-use sortie_cli::environment::{ScenarioSetName, entry_of};
-use sortie_cli::failure::{Exit, Failure, Outcome};
-use sortie_cli::onnxruntime::OnnxRuntimeArguments;
-use sortie_cli::policy::{Backend, DeployedPolicy};
-use sortie_cli::proposals::{ProposalArguments, ProposalMemory};
-use sortie_cli::worlds::rules::{FrameRelation, relation};
+use super::scenes::{self, some};
+use super::{Figures, Measuring, OURS, TRACT_VERSION, pin};
 
 /// Agents and open subtasks of the states that are measured.
 const SIZE: (usize, usize) = (5, 6);

@@ -1,24 +1,23 @@
 //! Who decides in a benchmark: a bundle's plans in every profile, tract, onnxruntime and the floor.
 
+use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use sortie_bundle::{Bundle, POLICY};
+use sortie_cli::environment::ScenarioSetName;
+use sortie_cli::failure::Failure;
+use sortie_cli::output::tell;
+use sortie_cli::policy::{Backend, DeployedPolicy, graph_policy};
+use sortie_cli::tools::{OnnxRuntimeArguments, compiler, plans};
 use sortie_core::Policy;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
+use sortie_envs::Split;
 use sortie_plans::{
     AgentPlans, BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine,
 };
 
-use super::floor::Floor;
-use super::quantised::quantise_or_note;
 use super::scenes::large_set;
-use sortie_cli::compiler::{compiler, plans};
-use sortie_cli::environment::ScenarioSetName;
-use sortie_cli::failure::Failure;
-use sortie_cli::onnxruntime::OnnxRuntimeArguments;
-use sortie_cli::output::tell;
-use sortie_cli::policy::{Backend, DeployedPolicy, graph_policy};
-use sortie_envs::Split;
 
 /// The profiles of our plans, and what their engines are called.
 pub(super) const PROFILES: [(&str, Profile); 3] = [
@@ -142,4 +141,82 @@ pub(super) fn floor_of(plan: &[u8]) -> Result<Floor, CompileError> {
     let start = header.weights_offset as usize;
     let weights = plan.get(start..start + header.weights_len as usize);
     Ok(Floor::new(weights.unwrap_or_default()))
+}
+
+/// Bytes that memory hands over at once.
+const CACHE_LINE: usize = 64;
+/// Lines read side by side, so that one addition need not wait for the last.
+const LANES: usize = 16;
+
+/// The bytes of a plan's weights, aligned as in the plan.
+pub(super) struct Floor(AlignedBytes);
+
+impl Floor {
+    fn new(weights: &[u8]) -> Self {
+        Self(AlignedBytes::copy_of(weights))
+    }
+
+    /// Reads one word of every cache line: no arithmetic could need less.
+    pub(super) fn read(&self) {
+        std::hint::black_box(self.sum());
+    }
+
+    fn sum(&self) -> u64 {
+        let mut sums = [0_u64; LANES];
+        for lines in self.0.as_slice().as_chunks::<CACHE_LINE>().0.chunks(LANES) {
+            for (sum, line) in sums.iter_mut().zip(lines) {
+                let word = line.first_chunk().map_or(0, |word| u64::from_le_bytes(*word));
+                *sum = sum.wrapping_add(word);
+            }
+        }
+        sums.iter().fold(0, |total, sum| total.wrapping_add(*sum))
+    }
+}
+
+const PROGRAM: &str = include_str!("../../../benches/quantise.py");
+
+/// Quantises a network, or notes why it cannot be.
+fn quantise_or_note(python: Option<&Path>, onnx: &[u8]) -> Option<Vec<u8>> {
+    let Some(python) = python else {
+        tell!("note: onnxruntime int8 is not measured: `--python` names no interpreter");
+        return None;
+    };
+    quantise(python, onnx)
+        .inspect_err(|Failure { message, .. }| {
+            tell!("note: onnxruntime int8 is not measured: {message}");
+        })
+        .ok()
+}
+
+fn quantise(python: &Path, onnx: &[u8]) -> Result<Vec<u8>, Failure> {
+    let folder = tempfile::tempdir().map_err(Failure::bug)?;
+    let [program, network, quantised] =
+        ["quantise.py", "network.onnx", "quantised.onnx"].map(|name| folder.path().join(name));
+    fs::write(&program, PROGRAM).map_err(|error| Failure::file(&program, &error))?;
+    fs::write(&network, onnx).map_err(|error| Failure::file(&network, &error))?;
+    let ran = Command::new(python)
+        .args([&program, &network, &quantised])
+        .output()
+        .map_err(|error| Failure::file(python, &error))?;
+    if !ran.status.success() {
+        let words = String::from_utf8_lossy(&ran.stderr);
+        let last = words.lines().last().unwrap_or("it says nothing");
+        let message = format!("{last}; `{} -m pip install onnx` may help", python.display());
+        return Err(Failure::difference(message));
+    }
+    fs::read(&quantised).map_err(|error| Failure::file(&quantised, &error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_cache_line_is_read() {
+        let lines = 0..LANES as u64 * 3 + 1;
+        let words = lines.clone().flat_map(|line| [line * line, 9, 9, 9, 9, 9, 9, 9]);
+        let bytes: Vec<u8> = words.flat_map(u64::to_le_bytes).collect();
+        let want: u64 = lines.map(|line| line * line).sum();
+        assert_eq!(Floor::new(&bytes).sum(), want);
+    }
 }

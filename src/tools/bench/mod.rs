@@ -1,32 +1,29 @@
 //! `sortie bench`: our figures beside the peers', measured in one run.
 
 mod allocation;
-mod cases;
 mod contestants;
 mod decision;
-mod environment;
 pub(crate) mod faults;
-mod floor;
-mod option_networks;
 mod policies;
 mod proposals;
-mod quantised;
 mod rounds;
 mod scenes;
-mod schedule;
-mod team;
 mod train;
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
 
 use clap::{Args, Subcommand};
 use rustix::thread::{CpuSet, sched_setaffinity};
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
+use sortie_cli::failure::{Exit, Failure, Outcome};
+use sortie_cli::output::{Common, Table, print_json, say};
+use sortie_cli::tools::engines;
+use sortie_envs::random::generator;
+use sortie_envs::{ENVIRONMENTS, Split, observe_and_step, open, step_alone};
 
 use rounds::{Engine, Measured, paired_ratio};
-use sortie_cli::failure::{Exit, Failure, Outcome};
-use sortie_cli::options::Common;
-use sortie_cli::output::{Table, print_json, say};
-use sortie_cli::tools::engines;
 
 /// Our engine in tables: a compiled plan of the exact profile.
 const OURS: &str = "sortie exact";
@@ -57,7 +54,7 @@ enum What {
     Allocation(allocation::AllocationArguments),
     Policy(policies::PolicyBenchArguments),
     Proposals(proposals::ProposalsArguments),
-    Env(environment::EnvironmentArguments),
+    Env(EnvironmentArguments),
     Train(train::TrainArguments),
     Faults(faults::FaultsArguments),
 }
@@ -126,7 +123,7 @@ pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
         }
         What::Policy(arguments) => (policies::measure(arguments)?, arguments.measuring.common),
         What::Proposals(arguments) => (proposals::measure(arguments)?, arguments.measuring.common),
-        What::Env(arguments) => (environment::measure(arguments)?, arguments.measuring.common),
+        What::Env(arguments) => (measure_environment(arguments)?, arguments.measuring.common),
         What::Faults(arguments) => return faults::run(arguments),
         What::Train(arguments) => (train::measure(arguments)?, arguments.measuring.common),
     };
@@ -211,23 +208,26 @@ impl Figures {
             });
         }
         let (ours, peers): (Vec<_>, Vec<_>) =
-            engines.iter().zip(measured).partition(|(engine, _)| engine.is_ours());
+            engines.iter().zip(measured).partition(|(engine, _)| engine.is_ours);
         for (our, our_times) in ours {
             for (peer, peer_times) in &peers {
-                let [ratio, low, high] =
-                    paired_ratio(&our_times.medians_ns, &peer_times.medians_ns);
-                let (engine, peer) = (our.name, peer.name);
-                self.ratios.push(Ratio {
-                    what,
-                    case: case.to_string(),
-                    engine,
-                    peer,
-                    ratio,
-                    low,
-                    high,
-                });
+                let engines = [our.name, peer.name];
+                let times = [&*our_times.medians_ns, &*peer_times.medians_ns];
+                self.add_ratio(what, case, engines, times);
             }
         }
+    }
+
+    /// Adds how many times as long as ours a peer takes.
+    fn add_ratio(
+        &mut self,
+        what: &'static str,
+        case: &str,
+        [engine, peer]: [&'static str; 2],
+        [ours, theirs]: [&[f64]; 2],
+    ) {
+        let [ratio, low, high] = paired_ratio(ours, theirs);
+        self.ratios.push(Ratio { what, case: case.to_string(), engine, peer, ratio, low, high });
     }
 
     fn print(&self) {
@@ -288,5 +288,65 @@ impl Figures {
         }
         table.print();
         say!();
+    }
+}
+
+/// Instances that are stepped in turn.
+const INSTANCES: usize = 16;
+/// Rounds between two looks at the clock.
+const ROUNDS: usize = 2_000;
+
+/// Steps of an environment per core-second: random actions, features written at every step, and steps alone where any action is possible
+#[derive(Debug, Args)]
+struct EnvironmentArguments {
+    /// Environment and set of starts; every environment is possible
+    #[arg(long, default_value = ENVIRONMENTS[0].name, value_name = "ENV[/SET]")]
+    env: String,
+    #[command(flatten)]
+    measuring: Measuring,
+}
+
+fn measure_environment(arguments: &EnvironmentArguments) -> Result<Figures, Failure> {
+    let seed = arguments.measuring.common.seed;
+    let mut environment = open(&arguments.env, Split::Train, INSTANCES, &BTreeMap::new())
+        .map_err(|error| Failure::new(Exit::Usage, error.to_string()))?;
+    let mut random = generator(seed);
+    (0..INSTANCES).for_each(|instance| environment.reset(instance, &mut random));
+    pin(arguments.measuring.pin)?;
+    let (world, random) = (&mut *environment, &mut random);
+    let seconds = arguments.measuring.seconds;
+    let seen = rates(seconds, || Some(observe_and_step(world, random, ROUNDS)));
+    let alone = rates(seconds, || step_alone(world, random, ROUNDS).ok());
+    let named = |case: String, rates| Some(environment_row(case, rates?));
+    let alone = named(format!("{}, steps alone", arguments.env), alone);
+    let rows = named(arguments.env.clone(), seen).into_iter().chain(alone).collect();
+    Ok(Figures { rows, ..Figures::default() })
+}
+
+/// Million steps per core-second, the fastest first: the tails are the bad ones, as for latencies.
+fn rates(seconds: f64, mut play: impl FnMut() -> Option<f64>) -> Option<Vec<f64>> {
+    let mut rates = Vec::new();
+    let until = Instant::now() + Duration::from_secs_f64(seconds);
+    while rates.is_empty() || Instant::now() < until {
+        let start_s = thread_cpu_s();
+        std::hint::black_box(play()?);
+        rates.push((ROUNDS * INSTANCES) as f64 / (thread_cpu_s() - start_s) / 1e6);
+    }
+    rates.sort_by(|one, other| other.total_cmp(one));
+    Some(rates)
+}
+
+fn environment_row(case: String, rates: Vec<f64>) -> Row {
+    let at = |share: f64| rates[((rates.len() - 1) as f64 * share).round() as usize];
+    Row {
+        what: "env",
+        case,
+        engine: "sortie",
+        version: env!("CARGO_PKG_VERSION").to_string(),
+        p50: at(0.5),
+        p99: at(0.99),
+        p999: None,
+        max: at(1.0),
+        unit: "million steps per core-second",
     }
 }

@@ -3,6 +3,10 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use sortie_cli::failure::{Failure, Outcome};
+use sortie_cli::foreign::PolicyArguments;
+use sortie_cli::output::tell;
+use sortie_cli::tools::{OnnxRuntimeArguments, compiler, engines};
 use sortie_core::plan::{AlignedBytes, PlanError, Profile};
 use sortie_plans::{
     CompileError, CompileOptions, FlatPolicy, PlanFlatPolicy, PolicyFacts, PolicyOptions,
@@ -12,12 +16,6 @@ use sortie_plans::{
 use super::contestants::{PROFILES, floor_of};
 use super::rounds::{Pace, alternate, engine, our_engine};
 use super::{FLOOR, Figures, Measuring, TRACT_VERSION, pin};
-use sortie_cli::compiler::compiler;
-use sortie_cli::failure::{Failure, Outcome};
-use sortie_cli::foreign::PolicyArguments;
-use sortie_cli::onnxruntime::OnnxRuntimeArguments;
-use sortie_cli::output::tell;
-use sortie_cli::tools::engines;
 
 /// Inputs in rotation.
 const INPUTS: usize = 64;

@@ -1,6 +1,9 @@
 //! `bench proposals`: an allocator that draws proposals and values them, ours and onnxruntime's.
 
 use clap::Args;
+use sortie_cli::failure::Failure;
+use sortie_cli::output::tell;
+use sortie_cli::tools::{OnnxRuntimeArguments, compiler};
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::GumbelDraw;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
@@ -11,10 +14,6 @@ use sortie_plans::{CompileError, CompileOptions, Compiler, DrawnProposals, Propo
 
 use super::rounds::{alternate_long, engine, our_engine};
 use super::{Figures, Measuring, pin};
-use sortie_cli::compiler::compiler;
-use sortie_cli::failure::Failure;
-use sortie_cli::onnxruntime::OnnxRuntimeArguments;
-use sortie_cli::output::tell;
 
 /// Sizes of the networks and of the states.
 const SHAPE: AllocationShape = AllocationShape { features: 58, columns: 8, width: 128, heads: 4 };

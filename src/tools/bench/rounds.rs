@@ -4,9 +4,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
+use sortie_cli::latency::Latency;
 
 use super::{VERSION, thread_cpu_s};
-use sortie_cli::latency::Latency;
 
 /// Bytes written between two calls of [`Pace::Cold`]: more than any cache holds.
 const OTHER_WORK_BYTES: usize = 64 << 20;
@@ -22,7 +22,7 @@ pub(super) struct Engine<'a> {
     pub(super) name: &'static str,
     pub(super) version: String,
     /// Whether it is ours, so that the others are its peers.
-    ours: bool,
+    pub(super) is_ours: bool,
     work: Work<'a>,
 }
 
@@ -32,21 +32,14 @@ pub(super) fn engine<'a>(
     version: &str,
     work: impl FnMut(usize) + 'a,
 ) -> Engine<'a> {
-    Engine { name, version: version.to_owned(), ours: false, work: Box::new(work) }
+    Engine { name, version: version.to_owned(), is_ours: false, work: Box::new(work) }
 }
 
 /// One of our own engines.
 pub(super) fn our_engine<'a>(name: &'static str, work: impl FnMut(usize) + 'a) -> Engine<'a> {
-    Engine { name, version: VERSION.to_owned(), ours: true, work: Box::new(work) }
+    Engine { name, version: VERSION.to_owned(), is_ours: true, work: Box::new(work) }
 }
 
-impl Engine<'_> {
-    pub(super) fn is_ours(&self) -> bool {
-        self.ours
-    }
-}
-
-/// One engine's figures.
 pub(super) struct Measured {
     pub(super) latency: Latency,
     /// The median of each round, in nanoseconds.
@@ -178,6 +171,24 @@ pub(super) fn paired_ratio(ours: &[f64], peer: &[f64]) -> [f64; 3] {
         ratios.get((last as f64 * share).round() as usize).copied().unwrap_or(f64::NAN)
     };
     [at(0.5), at(0.05), at(0.95)]
+}
+
+/// How the time is spent.
+pub(super) struct Schedule<'a> {
+    pub(super) paces: &'a [Pace],
+    pub(super) seconds_per_case: f64,
+}
+
+impl<'a> Schedule<'a> {
+    /// Hot calls are short and many; the others wait most of their time, and make three rounds at least.
+    pub(super) fn seconds(&self, pace: Pace) -> f64 {
+        let share = match pace {
+            Pace::Hot => 0.6,
+            Pace::Cold => 0.3,
+            Pace::Spaced => 0.1,
+        };
+        self.seconds_per_case * share
+    }
 }
 
 #[cfg(test)]

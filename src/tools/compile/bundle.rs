@@ -1,7 +1,22 @@
-//! Bundles: compiled to the same bundle with plans, or to the int8 plan of its agents, judged by what that achieves.
+//! Bundles: compiled to the same bundle with plans, or to the int8 plan of its agents, judged by what that achieves; and
+//! policies of somebody else with int8 weights, judged by how they act.
+
+use std::path::Path;
 
 use serde::Serialize;
 use sortie_bundle::{Bundle, SubtaskConditioning, hex};
+use sortie_cli::allocator::ProposalArguments;
+use sortie_cli::deployment::open_bundle;
+use sortie_cli::environment::{ScenarioSetName, check_fits};
+use sortie_cli::failure::{Exit, Failure, Outcome};
+use sortie_cli::files::{Kind, RecordingPolicy, try_output};
+use sortie_cli::npz::{self, RecordedInputs};
+use sortie_cli::output::{Table, print_json, say};
+use sortie_cli::policy::{Backend, DeployedPolicy, PlanProfile};
+use sortie_cli::subject::Subject;
+use sortie_cli::terminal::CountedEpisodes;
+use sortie_cli::tools::{compiler, plans, with_plans};
+use sortie_cli::{subject, terminal};
 use sortie_core::Policy;
 use sortie_core::plan::{AlignedBytes, Profile};
 use sortie_envs::{Environment, Split};
@@ -9,21 +24,16 @@ use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play;
 use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate_watched};
 use sortie_methods::alma::teams::PolicyTeam;
-use sortie_plans::{AgentPlans, Compiled, Quantised, quantise};
+use sortie_plans::{
+    AgentPlans, CompileError, CompileOptions, Compiled, LARGEST_DEVIATION, LEAST_AGREEMENT,
+    LEAST_OBSERVATIONS, PolicyAgreement, Quantised, QuantisedPolicy, RecordedCase, quantise,
+    quantise_policy,
+};
 
-use super::{CompileArguments, WrittenBundle, print, print_agreement, refuse, write_plan};
-use sortie_cli::compiler::{plans, with_plans};
-use sortie_cli::deployment::open_bundle;
-use sortie_cli::environment::{ScenarioSetName, check_fits};
-use sortie_cli::failure::{Exit, Failure, Outcome};
-use sortie_cli::files::{Kind, try_output};
-use sortie_cli::observations::RecordingPolicy;
-use sortie_cli::output::{print_json, say};
-use sortie_cli::policy::{Backend, DeployedPolicy, PlanProfile};
-use sortie_cli::progress::{self, CountedEpisodes};
-use sortie_cli::proposals::ProposalArguments;
-use sortie_cli::subject::Subject;
-use sortie_cli::subject_allocator;
+use super::{
+    CompileArguments, Written, WrittenBundle, print, print_agreement, print_bytes, print_operators,
+    refuse, write_plan,
+};
 
 /// By how much an int8 plan may succeed less often than the exact plan.
 const MARGIN: f64 = 0.01;
@@ -68,7 +78,6 @@ impl Paired {
     }
 }
 
-/// Compiles a bundle.
 pub(super) fn compile_bundle(arguments: &CompileArguments) -> Outcome {
     let refused =
         [("--observations", arguments.observations.is_some()), ("--npz", arguments.npz.is_some())];
@@ -107,7 +116,7 @@ fn compile_int8(arguments: &CompileArguments) -> Outcome {
     let CompileArguments { onnx: folder, output, common, .. } = arguments;
     let playing = Playing::open(open_bundle(folder)?)?;
     try_output(output, Kind::Plan)?;
-    let bar = progress::bar(*common, (RECORDED + 2 * JUDGED) as u64, "episodes");
+    let bar = terminal::bar(*common, (RECORDED + 2 * JUDGED) as u64, "episodes");
     let bundle = &playing.bundle;
     let mut exact = DeployedPolicy::open(bundle, Backend::Plan)?;
     let mut exact = exact.policy()?;
@@ -194,13 +203,83 @@ impl Playing {
         let name = self.bundle.folder().to_string_lossy();
         let draws = (ProposalArguments::default(), seed);
         let team = (&self.subject, self.set.entry());
-        let opened =
-            subject_allocator::open_for(team, None, &self.subject, &name, Backend::Plan, draws);
+        let opened = subject::open_for(team, None, &self.subject, &name, Backend::Plan, draws);
         let (_, mut allocator) = opened?;
         let plan = EvaluationPlan::new(&*self.environment, episodes, seed);
         let (mut team, mut allocator) = (PolicyTeam::new(policy), allocator.allocator()?);
         Ok(evaluate_watched(&plan, &mut team, &mut *allocator, &mut counted)?)
     }
+}
+
+/// Compiles a policy to int8 weights; refuses what acts differently than the f32 plan.
+pub(super) fn quantised(
+    arguments: &CompileArguments,
+    onnx: &[u8],
+    options: &CompileOptions,
+    file: &Path,
+    failed: &dyn Fn(CompileError) -> Failure,
+) -> Result<QuantisedPolicy, Failure> {
+    let arrays = npz::read(file)?;
+    let policy = arguments.policy.options_for(&arguments.onnx)?;
+    let facts = compiler().rehearse_policy(onnx, &policy).map_err(failed)?;
+    let recorded = RecordedInputs::of(&facts, &arrays)
+        .map_err(|reason| Failure::new(Exit::BadData, format!("{}: {reason}", file.display())))?;
+    let cases: Vec<RecordedCase<'_>> =
+        (0..recorded.count).map(|case| recorded.case(case)).collect();
+    let compile =
+        |profile| compiler().compile_policy(onnx, &policy, &CompileOptions { profile, ..*options });
+    let quantised = quantise_policy(compile, &cases).map_err(failed)?;
+    judge(&quantised.agreement, arguments.force)?;
+    Ok(quantised)
+}
+
+/// Refuses a plan that acts differently, or of which too little is known.
+fn judge(agreement: &PolicyAgreement, force: bool) -> Outcome {
+    let observations = agreement.observations;
+    if observations < LEAST_OBSERVATIONS {
+        return refuse(
+            &format!(
+                "{observations} observations say too little about an int8 plan, {LEAST_OBSERVATIONS} are needed: \
+                 record more"
+            ),
+            force,
+        );
+    }
+    if agreement.is_enough() {
+        return Ok(());
+    }
+    let flaw = format!(
+        "the int8 plan takes the same action on {:.3} % of the observations, {:.1} % are needed; its continuous \
+         actions differ by {:.3} of what they vary by, {LARGEST_DEVIATION} is allowed",
+        100.0 * agreement.share(),
+        100.0 * LEAST_AGREEMENT,
+        agreement.largest_deviation()
+    );
+    refuse(&flaw, force)
+}
+
+pub(super) fn print_policy(arguments: &CompileArguments, quantised: &QuantisedPolicy) {
+    let QuantisedPolicy { compiled, exact, agreement } = quantised;
+    let (plan, report) = (arguments.output.as_path(), &compiled.compiled.report);
+    if arguments.common.json {
+        let (agreement, exact) = (Some(agreement), Some(exact));
+        print_json(&Written { plan, report, agreement, paired: None, exact });
+        return;
+    }
+    let mut table = Table::new(&["output", "same action", "largest error / deviation"]);
+    for output in &agreement.outputs {
+        let same = output.equal_actions.map(|equal| {
+            format!("{:.3} %", 100.0 * equal as f64 / agreement.observations.max(1) as f64)
+        });
+        let deviation = format!("{:.4}", output.largest_deviation);
+        table.row([output.name.clone(), same.unwrap_or_default(), deviation]);
+    }
+    say!("on {} recorded observations, beside the f32 plan", agreement.observations);
+    table.print();
+    say!();
+    print_bytes(report, exact);
+    say!();
+    print_operators(report);
 }
 
 #[cfg(test)]

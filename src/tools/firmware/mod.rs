@@ -1,7 +1,5 @@
 //! `sortie firmware`: the same decisions on a microcontroller, and what they need there.
 
-mod board;
-mod device;
 mod figures;
 mod numbers;
 mod subject;
@@ -14,20 +12,19 @@ use std::time::Duration;
 
 use clap::Args;
 use serde::Serialize;
+use sortie_cli::failure::{Exit, Failure, Outcome};
+use sortie_cli::files::write_output;
+use sortie_cli::output::{Common, Table, print_json, say, tell};
+use sortie_cli::policy::PlanProfile;
+use sortie_cli::terminal;
 use sortie_core::plan::Profile;
 
-use self::board::Board;
-use self::device::Told;
 use self::figures::{Figures, Flash, Instructions, Ram, Recorded, Verdict};
 use self::subject::{Named, Subject};
 use self::team::TeamArguments;
 use self::toolchain::{Program, Toolchain};
-use sortie_cli::failure::{Exit, Failure, Outcome};
-use sortie_cli::files::write_output;
-use sortie_cli::options::Common;
-use sortie_cli::output::{Table, print_json, say, tell};
-use sortie_cli::policy::PlanProfile;
-use sortie_cli::progress;
+use figures::Told;
+use toolchain::Board;
 
 /// Run a bundle's policy, or a plan, on an emulated microcontroller, and print what it needs there
 ///
@@ -169,7 +166,7 @@ fn measure(
         fs::write(&path, &*machine.laid_out(content)?)
             .map_err(|error| Failure::file(&path, &error))?;
     }
-    let spinner = progress::spinner(arguments.common);
+    let spinner = terminal::spinner(arguments.common);
     spinner.set_message("building the firmware");
     let program = Program { name: subject.program, features: &[], files: &subject.files };
     let program = toolchain.build(&machine, sources, &program)?;

@@ -43,7 +43,6 @@ impl Cases {
         self.bytes.extend(numbers.into_iter().flat_map(|number| number.to_le_bytes()));
     }
 
-    /// The file.
     pub(super) fn to_bytes(&self) -> Vec<u8> {
         [&self.count.to_le_bytes()[..], &self.bytes].concat()
     }

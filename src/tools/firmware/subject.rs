@@ -3,6 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use sortie_bundle::{Bundle, GoldenCase, OptionsContract, Recording};
+use sortie_cli::deployment::open_bundle;
+use sortie_cli::failure::{Exit, Failure};
+use sortie_cli::tools::plans;
 use sortie_core::options::Pursuit;
 use sortie_core::plan::{AlignedBytes, Header, Network, Plan, Profile};
 use sortie_core::{DecideError, EntityMask, Observation, PlanPolicy};
@@ -13,9 +16,6 @@ use sortie_plans::{
 use sortie_stage::{UtilityHash, hash_of};
 
 use super::numbers::{Cases, rules, words};
-use sortie_cli::compiler::plans;
-use sortie_cli::deployment::open_bundle;
-use sortie_cli::failure::{Exit, Failure};
 
 /// Random cases of a plan: nobody recorded any.
 const RANDOM_CASES: usize = 256;

@@ -2,6 +2,11 @@
 
 use std::path::Path;
 
+use sortie_cli::failure::{Exit, Failure};
+use sortie_cli::foreign::ENGINE;
+use sortie_cli::npz::{self, Array, Arrays, RecordedInputs};
+use sortie_cli::output::tell;
+use sortie_cli::tools::{compiler, engines};
 use sortie_core::plan::AlignedBytes;
 use sortie_plans::{
     Comparison, CompileError, CompileOptions, CompiledPolicy, FlatPolicy, OutputRole,
@@ -10,13 +15,6 @@ use sortie_plans::{
 };
 
 use super::{Compared, Judges, Report, VerifyArguments, within};
-use sortie_cli::compiler::compiler;
-use sortie_cli::failure::{Exit, Failure};
-use sortie_cli::foreign::ENGINE;
-use sortie_cli::npz::{self, Array, Arrays};
-use sortie_cli::output::tell;
-use sortie_cli::recorded_inputs::RecordedInputs;
-use sortie_cli::tools::engines;
 
 /// Steps that recurrent policies take with their states fed back.
 const STEPS: usize = 100;
@@ -291,8 +289,9 @@ fn choice_error(actions: usize, got: &PolicyAnswer, want: &[f32]) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use sortie_plans::ValueType;
+
+    use super::*;
 
     fn compared(kind: ValueType, role: OutputRole, got: PolicyAnswer, want: &[f32]) -> Comparison {
         let shape = vec![1, got.numbers.len()];

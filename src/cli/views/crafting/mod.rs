@@ -5,5 +5,4 @@ use sortie_envs::crafting::{Crafting, ENTRY};
 use super::View;
 use super::milestones::Shown;
 
-/// How it is found.
 pub(super) const VIEW: (&str, &dyn View) = (ENTRY.name, &Shown::<Crafting>::NEW);

@@ -11,12 +11,12 @@ use sortie_stage::{
     memory,
 };
 
-use super::mind::attention_of;
+use super::captured::attention_of;
 use super::page::{Web, html_with_program};
 use super::{Hashes, Live, Wanted};
-use crate::compiler::plans;
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure};
+use crate::tools::plans;
 
 /// The program that pages run, packed; `.ci/browser` builds it.
 const PROGRAM: &[u8] = include_bytes!("../../../../runtime/browser/page.wasm.gz");

@@ -106,7 +106,6 @@ pub(super) fn page<S: Show>(
     Page { html: html(web, &data), steps }
 }
 
-/// The page as HTML.
 pub(super) fn html(web: &Web, data: &impl Serialize) -> String {
     let scripts = [script::EPISODE, &web.scripts.concat()].concat();
     let parts = Parts {

@@ -1,6 +1,5 @@
 //! The particle world as it is shown.
 
-mod page;
 mod terminal;
 
 use sortie_bundle::Bundle;
@@ -9,13 +8,14 @@ use sortie_envs::{Environment, Episode, Spec};
 use sortie_learn::Act;
 use sortie_stage::particle::Plane;
 
+use super::captured::{self, Captured};
 use super::live::live;
+use super::page::{self, Deeds, Web, script, style};
 use super::{Canvas, Drawing, Figures, Live, Page, Scene, View, Wanted};
 use crate::failure::Failure;
 use crate::subject::Subject;
 use crate::worlds::tally::Tally;
 
-/// How it is found.
 pub(super) const VIEW: (&str, &dyn View) = (ENTRY.name, &Shown);
 
 struct Shown;
@@ -42,7 +42,12 @@ impl View for Shown {
     }
 
     fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
-        page::played(wanted, subject)
+        let note = match subject {
+            Subject::Scripted => "The scripted team has no network: no scores, no attention.",
+            _ => "Critics are not deployed: whom they look at is shown of runs.",
+        };
+        let (env, captured) = captured::played(wanted, subject)?;
+        Ok(page(wanted, env, &[note], captured))
     }
 
     fn acted(
@@ -52,7 +57,7 @@ impl View for Shown {
         world: &dyn Environment,
         team: &mut dyn Act,
     ) -> Result<Page, Failure> {
-        page::acted(wanted, env, world, team)
+        Ok(page(wanted, env, &[], captured::acted(wanted, world, team)?))
     }
 
     fn live(
@@ -61,7 +66,7 @@ impl View for Shown {
         bundle: &Bundle,
         program: Option<&[u8]>,
     ) -> Result<Live, Failure> {
-        live::<Plane>((&page::WEB, &[]), wanted, bundle, program)
+        live::<Plane>((&WEB, &[]), wanted, bundle, program)
     }
 }
 
@@ -75,6 +80,56 @@ fn told(metric: &str, value: f64) -> String {
         "uncovered" => format!("landmarks uncovered by {value:.2}"),
         name => format!("{number} {name}"),
     }
+}
+
+const WEB: Web = Web {
+    styles: &[
+        style::COLOURS,
+        style::BASICS,
+        style::LAYOUT,
+        style::DESK,
+        style::RESULT,
+        style::DISCS,
+        include_str!("web/plane.css"),
+        style::LANES,
+        style::PLAYBACK,
+        style::AGENT,
+        style::HEAT,
+        style::DIALOG,
+    ],
+    map: "Plane",
+    panels: include_str!("web/panels.html"),
+    scripts: &[
+        script::SUMS,
+        script::NUMBERS,
+        script::ELEMENTS,
+        script::ACTS,
+        include_str!("web/names.js"),
+        include_str!("web/plane.js"),
+        include_str!("web/agent.js"),
+        include_str!("web/looks.js"),
+        script::LANES,
+        include_str!("web/timeline.js"),
+        script::PLAYER,
+    ],
+    deeds: Deeds {
+        hint: "Drag an agent, a treasure or a landmark elsewhere.",
+        controls: "",
+        keys: "",
+        script: include_str!("web/deeds.js"),
+    },
+};
+
+fn page(
+    wanted: &Wanted<'_>,
+    env: String,
+    notes: &[&'static str],
+    captured: Captured<Plane>,
+) -> Page {
+    const TRUTH: &str = "What agents hold is shown as it is; agents see it one step later.";
+    let is_hunt = !captured.facts.kinds.is_empty();
+    let notes = [if is_hunt { &[TRUTH][..] } else { &[] }, notes].concat();
+    page::page(&WEB, wanted, (env, notes), captured)
 }
 
 #[cfg(test)]

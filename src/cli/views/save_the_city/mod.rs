@@ -1,6 +1,5 @@
 //! SaveTheCity as it is shown.
 
-mod looks;
 mod page;
 mod terminal;
 
@@ -15,7 +14,6 @@ use crate::failure::Failure;
 use crate::subject::Subject;
 use crate::worlds::tally::Tally;
 
-/// How it is found.
 pub(super) const VIEW: (&str, &dyn View) = (ENTRY.name, &Shown);
 
 struct Shown;

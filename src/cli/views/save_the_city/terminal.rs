@@ -1,10 +1,9 @@
 //! The live picture of a city: its map, and who is assigned where.
 
-use console::style;
+use console::{Style, style};
 use sortie_core::UNASSIGNED;
-use sortie_envs::save_the_city::{ACTION_NAMES, AgentKind, City, SIDE};
+use sortie_envs::save_the_city::{ACTION_NAMES, AgentKind, BuildingState, City, SIDE, Status};
 
-use super::looks::{Glyphs, Look};
 use crate::views::{Canvas, Drawing};
 
 /// Characters of one map cell.
@@ -219,6 +218,110 @@ fn agent_name(city: &City<'_>, index: usize) -> String {
 /// `a` for building 0; a city has at most 25.
 fn building_letter(index: usize) -> char {
     char::from(b'a'.saturating_add(index as u8))
+}
+
+/// The characters of a picture.
+struct Glyphs {
+    corners: [&'static str; 4],
+    edge: &'static str,
+    side: &'static str,
+    nothing: &'static str,
+    full: &'static str,
+    empty: &'static str,
+    burning: &'static str,
+    open: &'static str,
+    complete: &'static str,
+    burned_down: &'static str,
+}
+
+/// For terminals that show Unicode.
+static UNICODE: Glyphs = Glyphs {
+    corners: ["┌", "┐", "└", "┘"],
+    edge: "─",
+    side: "│",
+    nothing: "·",
+    full: "█",
+    empty: "░",
+    burning: "▲",
+    open: "□",
+    complete: "■",
+    burned_down: "×",
+};
+
+/// For all others.
+static ASCII: Glyphs = Glyphs {
+    corners: ["+", "+", "+", "+"],
+    edge: "-",
+    side: "|",
+    nothing: ".",
+    full: "#",
+    empty: ".",
+    burning: "^",
+    open: "o",
+    complete: "=",
+    burned_down: "x",
+};
+
+impl Glyphs {
+    fn of(canvas: Canvas) -> &'static Self {
+        if canvas.is_unicode { &UNICODE } else { &ASCII }
+    }
+}
+
+/// How a building looks on the map, the most urgent first.
+#[derive(Clone, Copy)]
+enum Look {
+    Burning,
+    Open,
+    Complete,
+    BurnedDown,
+}
+
+impl Look {
+    fn of(building: &BuildingState) -> Self {
+        match building.status {
+            Status::Complete => Self::Complete,
+            Status::BurnedDown => Self::BurnedDown,
+            Status::Open if building.is_burning() => Self::Burning,
+            Status::Open => Self::Open,
+        }
+    }
+
+    fn style(self) -> Style {
+        match self {
+            Self::Burning => Style::new().red().bold(),
+            Self::Open => Style::new().yellow(),
+            Self::Complete => Style::new().green(),
+            Self::BurnedDown => Style::new().dim(),
+        }
+    }
+
+    fn word(self) -> &'static str {
+        match self {
+            Self::BurnedDown => "burned down",
+            other => other.short_word(),
+        }
+    }
+
+    /// At most eight characters.
+    fn short_word(self) -> &'static str {
+        match self {
+            Self::Burning => "burning",
+            Self::Open => "open",
+            Self::Complete => "complete",
+            Self::BurnedDown => "burned",
+        }
+    }
+
+    fn symbol(self, glyphs: &Glyphs) -> String {
+        let symbol = match self {
+            Self::Burning => glyphs.burning,
+            Self::Open => glyphs.open,
+            Self::Complete => glyphs.complete,
+            Self::BurnedDown => glyphs.burned_down,
+        };
+        self.style().apply_to(symbol).to_string()
+    }
 }
 
 #[cfg(test)]

@@ -5,5 +5,4 @@ use sortie_envs::treasure_rooms::{ENTRY, TreasureRooms};
 use super::View;
 use super::milestones::Shown;
 
-/// How they are found.
 pub(super) const VIEW: (&str, &dyn View) = (ENTRY.name, &Shown::<TreasureRooms>::NEW);

@@ -1,20 +1,27 @@
 //! `sortie bench faults`: a storm of kills over a team under load.
+//!
+//! The processes of a supervised team are killed at random times, again and again, while everything that passes is checked.
 
-mod storm;
+mod blows;
+mod team;
 
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use clap::Args;
 use serde::Serialize;
-use sortie_ipc::Domain;
-
 use sortie_cli::failure::{Exit, Failure, Outcome};
 use sortie_cli::latency::{Latency, Percentiles};
-use sortie_cli::options::Common;
-use sortie_cli::output::{Table, print_json, say};
-use sortie_cli::signals::stop_on_signals;
-use storm::{StormReport, StormSettings, raise_storm, storm_process};
+use sortie_cli::output::{Common, Table, print_json, say};
+use sortie_cli::terminal::stop_on_signals;
+use sortie_core::wire::Role;
+use sortie_ipc::{
+    Charge, Domain, Error, ProcessSettings, RestartPolicy, Stop, WorldSettings, allocator_process,
+    runner_process, supervise, world_process,
+};
+
+use blows::Blows;
+use team::{Checks, StormAllocator, StormPolicy, StormWorld};
 
 /// Kill runners and leading allocators of a team under load, at random times
 ///
@@ -146,4 +153,125 @@ impl Found {
             None => Ok(()),
         }
     }
+}
+
+/// How long and how hard.
+#[derive(Clone, Copy, Debug)]
+struct StormSettings {
+    runner_kills: u32,
+    allocator_kills: u32,
+    /// Time from frame to frame.
+    period: Duration,
+    /// Decides who is killed, and when.
+    seed: u64,
+}
+
+/// What a storm found. All but the times and the first three numbers are to be 0.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct StormReport {
+    /// From the kill of a leading allocator to the first allocation of the next, in nanoseconds, sorted.
+    takeover_ns: Vec<u64>,
+    /// From the kill of a runner to the first action of its successor, in nanoseconds, sorted.
+    rejoin_ns: Vec<u64>,
+    ticks: u64,
+    /// Ticks in which an agent played the fallback action.
+    ticks_with_fallback: u64,
+    /// Decisions on a frame that was not whole, or not the one answered.
+    torn_frames: u64,
+    /// Subtasks that are not those of the allocation stated, or of the frame that it was made from.
+    wrong_assignments: u64,
+    /// Allocations of an older term or epoch than the same process had acted on.
+    old_terms: u64,
+    /// Objects in shared memory that the dead left behind, while the others live.
+    leaked: u64,
+    /// Objects in shared memory after the end.
+    left_behind: u64,
+}
+
+/// Raises a storm over `domain`, with the world in this process. `child` starts a process that calls
+/// [`storm_process`] with the role given.
+///
+/// # Errors
+/// A process fails other than by being killed, or a signal came.
+fn raise_storm(
+    domain: &Domain,
+    settings: &StormSettings,
+    child: &(dyn Fn(&str) -> Command + Sync),
+    stop: &Stop,
+) -> Result<StormReport, Error> {
+    let over = Stop::new();
+    let mut world = StormWorld::default();
+    let checks = Checks::new(world.number.clone());
+    let mut blows = Blows::new(domain, settings, checks, [stop.clone(), over.clone()]);
+    let world_settings = WorldSettings {
+        allocator: true,
+        strict: false,
+        period: settings.period,
+        ..WorldSettings::default()
+    };
+    // Those that are killed are to come back at once.
+    let policy = RestartPolicy { immediate: Duration::ZERO, ..RestartPolicy::default() };
+    let ended = std::thread::scope(|scope| {
+        let (over, world_over) = (over.clone(), blows.stop());
+        let supervisor = scope.spawn(move || {
+            let ended = supervise(domain, charges(child), &policy, &mut |_| {}, &over);
+            world_over.stop();
+            ended
+        });
+        let contract = team::contract();
+        let stop = blows.stop();
+        let start = |_: &mut _| Ok(());
+        let played =
+            world_process(domain, &contract, &mut world, &world_settings, start, &mut blows, &stop);
+        blows.end();
+        let kept = supervisor.join().unwrap_or(Err(Error::Stalled));
+        first_failure(played.map(drop), kept.map(drop))
+    });
+    if !blows.is_done() {
+        return Err(ended.err().unwrap_or(Error::Interrupted));
+    }
+    ended?;
+    let left_behind = domain.shared_memory()?.len() as u64;
+    Ok(StormReport { left_behind, ..blows.report() })
+}
+
+/// What both ended with, where being told to end counts as success.
+fn first_failure(played: Result<(), Error>, kept: Result<(), Error>) -> Result<(), Error> {
+    for ended in [kept, played] {
+        match ended {
+            Ok(()) | Err(Error::Interrupted) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
+}
+
+/// Two runners, a leading allocator and a standby.
+fn charges(child: &dyn Fn(&str) -> Command) -> Vec<Charge> {
+    let charge = |name: &str, role, agents: &[usize]| Charge {
+        name: name.to_string(),
+        role,
+        agents: agents.iter().fold(0, |seats, agent| seats | 1 << agent),
+        command: child(name),
+    };
+    vec![
+        charge("runner 0,2", Role::Runner, &[0, 2]),
+        charge("runner 1,3", Role::Runner, &[1, 3]),
+        charge("allocator 0", Role::Allocator, &[]),
+        charge("allocator 1", Role::Allocator, &[]),
+    ]
+}
+
+/// A process of a storm, by the name that [`raise_storm`] gives it.
+///
+/// # Errors
+/// As [`runner_process`] and [`allocator_process`]; an unknown name.
+fn storm_process(domain: &Domain, name: &str, stop: &Stop) -> Result<(), Error> {
+    let (contract, settings) = (team::contract(), ProcessSettings::default());
+    let Some(("runner", agents)) = name.split_once(' ') else {
+        let ended = allocator_process(domain, &contract, &mut StormAllocator, &settings, stop);
+        return ended.map(drop);
+    };
+    let agents: Vec<u16> = agents.split(',').filter_map(|agent| agent.parse().ok()).collect();
+    runner_process(domain, &contract, &agents, &mut StormPolicy, &settings, stop).map(drop)
 }

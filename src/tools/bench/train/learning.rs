@@ -16,7 +16,6 @@ use sortie_cli::methods;
 /// Environment steps that fill the replays before anything is timed.
 const FILL: u64 = 40_000;
 
-/// One kind of work.
 #[derive(Clone, Copy)]
 pub(super) enum Work {
     AgentsUpdate,

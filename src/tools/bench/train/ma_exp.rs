@@ -3,6 +3,8 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use sortie_cli::failure::{Exit, Failure};
+use sortie_cli::methods;
 use sortie_envs::random::{below, unit};
 use sortie_learn::random::{Purpose, generator};
 use sortie_methods::ma_exp::MA_EXP;
@@ -12,11 +14,8 @@ use sortie_nn::random::Generator;
 
 use super::super::Figures;
 use super::TrainArguments;
-use super::program::Expected;
+use super::program::{Expected, Tensors};
 use super::round::{self, Kept, Round};
-use super::tensors::Tensors;
-use sortie_cli::failure::{Exit, Failure};
-use sortie_cli::methods;
 
 /// The world whose sizes the networks have.
 const SET: &str = "task1-2";

@@ -1,30 +1,28 @@
 //! Learning: updates, roll-out and search per CPU-second, and the update beside PyTorch's.
 
-mod batch;
 mod learning;
 mod ma_exp;
 mod maac;
 mod paper;
 mod program;
 mod round;
-mod tensors;
 mod torch;
 
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-
-use super::rounds::paired_ratio;
-use super::{Figures, Measuring, Ratio, Row, pin};
-use learning::{Learning, Work};
-pub(super) use paper::Part;
 use sortie_cli::failure::Failure;
 use sortie_cli::methods;
 use sortie_learn::run::Setup;
 use sortie_methods::alma::ALMA;
 use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
+
+use super::{Figures, Measuring, Row, pin};
+use learning::{Learning, Work};
 use torch::{Formulation, Torch, find};
+
+pub(super) use paper::Part;
 
 /// Rounds in which everything has its turn.
 const ROUNDS: usize = 11;
@@ -139,7 +137,7 @@ fn measure_fast(arguments: &TrainArguments) -> Result<Figures, Failure> {
     let mut figures = figures(&cases, &peaks);
     if let Some(torch) = torch {
         for (how, rates) in Formulation::ALL.into_iter().zip(&peers) {
-            figures.add_peer(&cases[0], how.engine(), torch.version(), rates);
+            figures.add_peer(&cases[0], how.engine(), &torch.version, rates);
         }
     }
     Ok(figures)
@@ -189,9 +187,7 @@ impl Figures {
     fn add_peer(&mut self, ours: &Case, peer: &'static str, version: &str, rates: &[f64]) {
         self.rows.push(row(&ours.name, peer, version, rates, ours.unit));
         // Rates, not times: the ratio is ours over the peer's.
-        let [ratio, low, high] = paired_ratio(rates, &ours.rates);
-        let (what, case, engine) = ("train", ours.name.clone(), "sortie");
-        self.ratios.push(Ratio { what, case, engine, peer, ratio, low, high });
+        self.add_ratio("train", &ours.name, ["sortie", peer], [rates, &ours.rates]);
     }
 }
 
@@ -207,6 +203,15 @@ fn row(case: &str, engine: &'static str, version: &str, rates: &[f64], unit: &'s
         p999: None,
         max: at(rates, 0.0),
         unit,
+    }
+}
+
+/// A row of CPU-seconds of one call.
+fn times(case: &str, engine: &'static str, version: &str, cpu_s: &[f64]) -> Row {
+    Row {
+        p99: at(cpu_s, 0.99),
+        max: at(cpu_s, 1.0),
+        ..row(case, engine, version, cpu_s, "CPU-seconds")
     }
 }
 

@@ -4,16 +4,14 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde::Deserialize;
+use sortie_cli::failure::Failure;
 use sortie_methods::maac::{Draw, Groups, Rows};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::Parameters;
 
-use super::super::rounds::paired_ratio;
-use super::super::{Figures, Measuring, Ratio, Row, pin, thread_cpu_s};
-use super::program::{Comparison, Expected, Program};
-use super::tensors::Tensors;
-use super::{Arithmetic, TrainArguments, at, find, peak_gflops, peak_row};
-use sortie_cli::failure::Failure;
+use super::super::{Figures, Measuring, pin, thread_cpu_s};
+use super::program::{Comparison, Expected, Program, Tensors};
+use super::{Arithmetic, TrainArguments, at, find, peak_gflops, peak_row, times};
 
 /// What the programs share, by the name that they import it by.
 const SHARED: (&str, &str) = ("rounds.py", include_str!("../../../../benches/rounds.py"));
@@ -116,9 +114,7 @@ pub(super) fn measure<R: Round>(
     if let Some((_, version)) = &torch {
         for ((_, peer), cpu_s) in FORMULATIONS.into_iter().zip(&peers) {
             figures.rows.push(times(&name, peer, version, cpu_s));
-            let [ratio, low, high] = paired_ratio(&ours, cpu_s);
-            let (what, case, engine) = ("train", name.clone(), "sortie");
-            figures.ratios.push(Ratio { what, case, engine, peer, ratio, low, high });
+            figures.add_ratio("train", &name, ["sortie", peer], [&ours, cpu_s]);
         }
     }
     figures.rows.push(peak_row(&peaks));
@@ -153,20 +149,5 @@ impl Tensors {
             let values: Vec<i64> = actions.iter().map(|action| i64::from(*action)).collect();
             self.integers(format!("{kind}.{index}"), &[values.len()], &values);
         }
-    }
-}
-
-/// A row of CPU-seconds of one round.
-fn times(case: &str, engine: &'static str, version: &str, cpu_s: &[f64]) -> Row {
-    Row {
-        what: "train",
-        case: case.to_string(),
-        engine,
-        version: version.to_string(),
-        p50: at(cpu_s, 0.5),
-        p99: at(cpu_s, 0.99),
-        p999: None,
-        max: at(cpu_s, 1.0),
-        unit: "CPU-seconds",
     }
 }

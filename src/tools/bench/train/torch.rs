@@ -1,23 +1,26 @@
 //! The same update in PyTorch.
 
+use std::collections::HashMap;
 use std::env;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use serde::Deserialize;
-
-use super::batch;
-use super::learning::Learning;
-use super::program::{Comparison, Expected, Program};
 use sortie_cli::failure::{Exit, Failure};
 use sortie_cli::output::tell;
+use sortie_envs::{EntitySet, Environment, Observation, members};
+use sortie_methods::alma::agents::{Columns, NO_ACTION, UtilityNetwork, UtilityShape};
+use sortie_methods::alma::records::{Experience, Knowledge, Moment, Pick, Replay};
+
+use super::learning::{Learning, gradient};
+use super::program::{Comparison, Expected, Program, Tensors};
 
 const PROGRAM: &str = include_str!("../../../../benches/train_step.py");
 
 /// A running program that waits for its turn.
 pub(super) struct Torch {
     program: Program,
-    version: String,
+    pub(super) version: String,
 }
 
 /// How a batch of teams of different sizes becomes tensors.
@@ -71,17 +74,12 @@ impl Torch {
         quiet: bool,
     ) -> Result<Self, Failure> {
         let mut expected = Expected { loss: f64::NAN, gradient_norm: f64::NAN };
-        let write = |path: &Path| batch::write(learning, path).map(|found| expected = found);
+        let write = |path: &Path| write(learning, path).map(|found| expected = found);
         let (program, ready) = Program::start::<Ready>(python, PROGRAM, &[], write)?;
         for (formulation, found) in Formulation::ALL.iter().zip([&ready.padded, &ready.packed]) {
             found.check((formulation.engine(), "the agents"), expected, quiet)?;
         }
         Ok(Self { program, version: ready.torch })
-    }
-
-    /// Version of torch.
-    pub(super) fn version(&self) -> &str {
-        &self.version
     }
 
     /// Updates for so many CPU-seconds; returns updates per CPU-second.
@@ -118,4 +116,177 @@ fn has_torch(python: &Path) -> bool {
     let mut command = Command::new(python);
     command.args(["-c", "import torch"]).stdout(Stdio::null()).stderr(Stdio::null());
     command.status().is_ok_and(|status| status.success())
+}
+
+/// Batches that the peer learns from in turn.
+const BATCHES: usize = 8;
+
+impl Tensors {
+    /// All weights in PyTorch's layout.
+    pub(super) fn network(&mut self, of: &str, network: &UtilityNetwork) {
+        let UtilityShape { input, width, base, actions, skip, .. } = network.shape();
+        let w = network.weights();
+        for (name, shape, values) in [
+            ("fc1.weight", &[width, input][..], &w.fc1_weight),
+            ("fc1.bias", &[width], &w.fc1_bias),
+            ("attention.in.weight", &[3 * width, width], &w.attention_in_weight),
+            ("attention.out.weight", &[width, width], &w.attention_out_weight),
+            ("attention.out.bias", &[width], &w.attention_out_bias),
+            ("fc2.weight", &[base, width], &w.fc2_weight),
+            ("fc2.bias", &[base], &w.fc2_bias),
+            ("head.weight", &[actions, base], &w.head_weight),
+            ("head.bias", &[actions], &w.head_bias),
+        ] {
+            self.floats(format!("{of}.{name}"), shape, values);
+        }
+        if skip {
+            self.floats(format!("{of}.skip.weight"), &[width, width], &w.skip_weight);
+        }
+    }
+
+    /// A batch, its teams padded to its largest.
+    fn batch(
+        &mut self,
+        number: usize,
+        experience: Experience<'_, Replay>,
+        picks: &[Pick],
+        team: usize,
+    ) {
+        let mut dense = Dense::default();
+        for pick in picks {
+            dense.push(experience, *pick, team);
+        }
+        let count = picks.len();
+        let name = |part: &str| format!("batch{number}.{part}");
+        let shape = experience.environment.spec().shape;
+        let rows = [count, team + 1, Columns::of(&shape).unmarked()];
+        self.floats(name("rows"), &rows, &dense.rows);
+        self.floats(name("next_rows"), &rows, &dense.next_rows);
+        self.flags(name("present"), &[count, team], &dense.present);
+        self.integers(name("actions"), &[count, team], &dense.actions);
+        self.flags(name("next_available"), &[count, team, shape.actions], &dense.next_available);
+        self.floats(name("reward"), &[count], &dense.reward);
+        self.floats(name("discount"), &[count], &dense.discount);
+    }
+}
+
+/// Rows `[records, team + 1, columns]` of agents and their thing, and what belongs to them.
+#[derive(Default)]
+struct Dense {
+    rows: Vec<f32>,
+    next_rows: Vec<f32>,
+    present: Vec<bool>,
+    actions: Vec<i64>,
+    next_available: Vec<bool>,
+    reward: Vec<f32>,
+    discount: Vec<f32>,
+}
+
+impl Dense {
+    /// Adds a record, turned as it was picked.
+    fn push(&mut self, experience: Experience<'_, Replay>, pick: Pick, team: usize) {
+        let Experience { environment, replay } = experience;
+        let sample = replay.get(pick.sample as usize);
+        let turn = pick.symmetry.into();
+        let agents: Vec<usize> = members(sample.team().into()).collect();
+        let things = sample.record.things();
+        let sight = EntitySet::from(sample.team()) | things;
+        let now = Seen::new(environment, sample.now, turn, sight);
+        let next = Seen::new(environment, sample.next, turn, sight);
+        for place in 0..team {
+            let member = agents.get(place).copied();
+            let action = member.map_or(0, |agent| now.turned(sample.now.actions[agent]));
+            self.present.push(member.is_some());
+            self.actions.push(action.into());
+            let available = member.map_or(0, |agent| next.seen.available[agent]);
+            let actions = environment.spec().shape.actions;
+            self.next_available.extend((0..actions).map(|action| available >> action & 1 == 1));
+            self.rows.extend(now.row(member));
+            self.next_rows.extend(next.row(member));
+        }
+        let thing = members(things).next();
+        self.rows.extend(now.row(thing));
+        self.next_rows.extend(next.row(thing));
+        self.reward.push(sample.record.reward);
+        self.discount.push(sample.record.discount);
+    }
+}
+
+/// What a team sees in a moment, turned.
+struct Seen<'a> {
+    environment: &'a dyn Environment,
+    moment: Moment<'a>,
+    turn: usize,
+    seen: Observation,
+}
+
+impl<'a> Seen<'a> {
+    fn new(
+        environment: &'a dyn Environment,
+        moment: Moment<'a>,
+        turn: usize,
+        sight: EntitySet,
+    ) -> Self {
+        let mut seen = Observation::default();
+        environment.observe(moment.state, turn, sight, &mut seen);
+        Self { environment, moment, turn, seen }
+    }
+
+    fn turned(&self, action: u8) -> u16 {
+        self.environment.turned_action(self.turn, action.into())
+    }
+
+    /// The row of an entity, an agent's with its last action, or of none.
+    fn row(&self, entity: Option<usize>) -> Vec<f32> {
+        let shape = self.environment.spec().shape;
+        let mut row = vec![0.0; Columns::of(&shape).unmarked()];
+        let Some(entity) = entity else { return row };
+        self.seen.rows.write_dense(self.seen.row_of(entity), &mut row[..shape.features]);
+        let last_action = self.moment.last_actions.get(entity).copied().unwrap_or(NO_ACTION);
+        if last_action != NO_ACTION {
+            row[shape.features + usize::from(self.turned(last_action))] = 1.0;
+        }
+        row
+    }
+}
+
+/// Writes networks, batches and, for the first batch, our gradient.
+pub(super) fn write(learning: &mut Learning, path: &Path) -> Result<Expected, Failure> {
+    let mut tensors = Tensors::default();
+    let mut expected = Expected { loss: f64::NAN, gradient_norm: f64::NAN };
+    for number in 0..BATCHES {
+        let mut chunk = learning.chunk();
+        let (loss, slopes) = gradient(&mut learning.method.agents, &mut chunk, &mut learning.picks);
+        let knowledge = learning.method.agents.knowledge();
+        let Knowledge { online, target, replay, .. } = &*knowledge;
+        let picks = knowledge.picks().iter();
+        let sizes = picks.map(|pick| replay.get(pick.sample as usize).team().count_ones());
+        let team = sizes.max().map_or(1, |largest| largest as usize);
+        tensors.batch(number, knowledge.experience(), knowledge.picks(), team);
+        if number == 0 {
+            let norm = slopes.iter().map(|slope| f64::from(*slope).powi(2)).sum::<f64>().sqrt();
+            expected = Expected { loss, gradient_norm: norm };
+            tensors.network("online", &online.utility);
+            tensors.network("target", &target.utility);
+            let slopes = UtilityNetwork::from_parameters(online.utility.shape(), slopes);
+            slopes.iter().for_each(|slopes| tensors.network("gradient", slopes));
+        }
+    }
+    tensors.write(settings(learning), path).map_err(Failure::bug)?;
+    Ok(expected)
+}
+
+/// The numbers of the update, as the file's metadata.
+fn settings(learning: &Learning) -> HashMap<String, String> {
+    let optimiser = &learning.config.optimiser;
+    let settings = [
+        ("batches", BATCHES as f64),
+        ("heads", learning.config.network.heads as f64),
+        ("learning_rate", optimiser.learning_rate.into()),
+        ("epsilon", optimiser.epsilon.into()),
+        ("clip", optimiser.clip.into()),
+        ("target_rate", optimiser.target_rate.into()),
+        ("average_rate", optimiser.average_rate.into()),
+    ];
+    settings.map(|(name, value)| (name.to_string(), value.to_string())).into()
 }

@@ -1,13 +1,8 @@
 //! `sortie firmware --team`: one agent of a running team is an emulated board at the end of a serial line.
 
-mod channel;
-mod check;
-mod counted;
 mod device;
 mod line;
-mod noted;
 mod play;
-mod port;
 mod report;
 #[cfg(test)]
 mod tests;
@@ -20,30 +15,28 @@ use std::time::Duration;
 
 use clap::Args;
 use sortie_bundle::Bundle;
+use sortie_cli::allocation::AllocatorChoice;
+use sortie_cli::allocator::{DeployedAllocator, ProposalArguments};
+use sortie_cli::deployment::domain_contract;
+use sortie_cli::failure::{Exit, Failure, Outcome};
+use sortie_cli::output::print_json;
+use sortie_cli::policy::{Backend, DeployedPolicy};
+use sortie_cli::run::world::open_world;
+use sortie_cli::terminal;
 use sortie_core::World;
 use sortie_envs::random::{below, generator};
 use sortie_ipc::{DomainContract, DomainFacts};
 use sortie_plans::CompileError;
 
-use self::channel::Noise;
 use self::device::{Device, Emulator};
 use self::line::Line;
 use self::play::{Cast, Setup, play};
 use self::report::{Ran, Report};
 use super::FirmwareArguments;
-use super::board::Board;
 use super::numbers::words;
 use super::subject::{agent_plans, plan_of_agent};
-use super::toolchain::{Program, Toolchain};
-use sortie_cli::allocation::AllocatorChoice;
-use sortie_cli::allocator::DeployedAllocator;
-use sortie_cli::deployment::domain_contract;
-use sortie_cli::failure::{Exit, Failure, Outcome};
-use sortie_cli::output::print_json;
-use sortie_cli::policy::{Backend, DeployedPolicy};
-use sortie_cli::progress;
-use sortie_cli::proposals::ProposalArguments;
-use sortie_cli::run::world::open_world;
+use super::toolchain::{Board, Program, Toolchain};
+use line::Noise;
 
 /// A team of which one agent is a board.
 #[derive(Clone, Debug, Args)]
@@ -86,7 +79,7 @@ pub(super) fn run(
     let mut arenas = plans.arenas(1).map_err(CompileError::from)?;
     let hidden = plans.policy(&mut arenas).map_err(CompileError::from)?.hidden();
     check(arguments, agent, world.shape().agents, hidden)?;
-    let spinner = progress::spinner(arguments.common);
+    let spinner = terminal::spinner(arguments.common);
     spinner.set_message("building the firmware");
     let domain = domain(&contract, format.schema, world.shape(), agent);
     let files = [("SORTIE_PLAN", plan.as_slice().to_vec()), ("SORTIE_DOMAIN", domain)];

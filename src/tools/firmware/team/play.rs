@@ -5,21 +5,20 @@
 use std::cell::Cell;
 use std::collections::BTreeMap;
 
+use sortie_cli::failure::{Exit, Failure};
 use sortie_core::link::{
-    AllocRx, Clock, Direct, DirectCursor, FrameBlock, FrameRx, LineCounters, Relay, packet_bytes,
+    ActionTx, AllocRx, Bell, Clock, Direct, DirectAgent, DirectCursor, Frame, FrameBlock, FrameRx,
+    LineCounters, LinkError, Relay, StatTx, Wake, packet_bytes,
 };
 use sortie_core::roles::{
     AllocatorOptions, AllocatorRole, Counters, Identity, Poll, RunnerOptions, RunnerRole,
     TickReport, WorldObserver, WorldOptions, WorldRole,
 };
-use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat};
+use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, Role, StatMsg};
 use sortie_core::{Allocator, Policy, World};
 use sortie_ipc::DomainContract;
 
-use super::check::answer;
 use super::line::{Line, LineReport};
-use super::noted::Noted;
-use sortie_cli::failure::{Exit, Failure};
 
 /// How long the world waits for actions; for allocations half of it.
 const PATIENCE_NS: u64 = 100_000_000;
@@ -53,7 +52,6 @@ pub(crate) struct Cast<'a> {
     pub(crate) allocator: Option<&'a mut dyn Allocator>,
 }
 
-/// What became of it.
 pub(crate) struct Played {
     pub(crate) line: LineReport,
     pub(crate) relay: LineCounters,
@@ -61,7 +59,6 @@ pub(crate) struct Played {
     pub(crate) turns: Turns,
 }
 
-/// The device's turns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Turns {
     /// Frames that asked the device for an action.
@@ -97,7 +94,6 @@ impl WorldObserver for Watch {
     }
 }
 
-/// Plays the episodes.
 pub(crate) fn play(
     setup: &Setup<'_>,
     cast: &mut Cast<'_>,
@@ -295,5 +291,145 @@ fn world_options(setup: &Setup<'_>, allocator: bool) -> WorldOptions {
         safe_action: setup.contract.safe_action,
         episodes: Some(setup.episodes),
         tick_interval_ns: 0,
+    }
+}
+
+/// A link that shows one frame and one allocation, and keeps the answer.
+struct Alone<'f> {
+    frame: Frame<'f>,
+    is_shown: bool,
+    allocation: Option<AllocMsg>,
+    answer: Option<ActionMsg>,
+}
+
+/// What a runner of these options answers to a frame by an allocation; nothing where it does not.
+pub(crate) fn answer(
+    options: RunnerOptions,
+    policy: &mut dyn Policy,
+    frame: Frame<'_>,
+    allocation: Option<AllocMsg>,
+) -> Result<Option<ActionMsg>, LinkError> {
+    let mut role = RunnerRole::new(options);
+    let mut link = Alone { frame, is_shown: false, allocation, answer: None };
+    while role.poll(&mut link, policy)? == Poll::Again {}
+    Ok(link.answer)
+}
+
+impl FrameRx for Alone<'_> {
+    fn receive_frames(
+        &mut self,
+        accept: &mut dyn FnMut(Frame<'_>) -> bool,
+    ) -> Result<bool, LinkError> {
+        Ok(!std::mem::replace(&mut self.is_shown, true) && accept(self.frame))
+    }
+
+    fn frame(&self) -> Option<Frame<'_>> {
+        Some(self.frame)
+    }
+}
+
+impl AllocRx for Alone<'_> {
+    fn receive_allocations(&mut self, take: &mut dyn FnMut(&AllocMsg)) -> Result<(), LinkError> {
+        if let Some(allocation) = self.allocation.take() {
+            take(&allocation);
+        }
+        Ok(())
+    }
+}
+
+impl ActionTx for Alone<'_> {
+    fn send_action(&mut self, action: &ActionMsg) -> Result<(), LinkError> {
+        self.answer = Some(*action);
+        Ok(())
+    }
+}
+
+impl StatTx for Alone<'_> {
+    fn send_status(&mut self, _status: &StatMsg) -> Result<(), LinkError> {
+        Ok(())
+    }
+}
+
+impl Bell for Alone<'_> {
+    fn token(&self) -> u32 {
+        0
+    }
+
+    fn wait_until(&mut self, _token: u32, _until_ns: u64) -> Wake {
+        Wake::Timeout
+    }
+
+    fn ring(&mut self, _role: Role) -> Result<(), LinkError> {
+        Ok(())
+    }
+}
+
+impl Clock for Alone<'_> {
+    /// No allocation is waited for any more.
+    fn now_ns(&self) -> u64 {
+        self.frame.header.deadline_ns
+    }
+}
+
+struct Noted<'a, 'b> {
+    link: DirectAgent<'a, 'b>,
+    actions: Vec<ActionMsg>,
+}
+
+impl<'a, 'b> Noted<'a, 'b> {
+    fn new(link: DirectAgent<'a, 'b>) -> Self {
+        Self { link, actions: Vec::new() }
+    }
+}
+
+impl ActionTx for Noted<'_, '_> {
+    fn send_action(&mut self, action: &ActionMsg) -> Result<(), LinkError> {
+        self.actions.push(*action);
+        self.link.send_action(action)
+    }
+}
+
+impl FrameRx for Noted<'_, '_> {
+    fn receive_frames(
+        &mut self,
+        accept: &mut dyn FnMut(Frame<'_>) -> bool,
+    ) -> Result<bool, LinkError> {
+        self.link.receive_frames(accept)
+    }
+
+    fn frame(&self) -> Option<Frame<'_>> {
+        self.link.frame()
+    }
+}
+
+impl AllocRx for Noted<'_, '_> {
+    fn receive_allocations(&mut self, take: &mut dyn FnMut(&AllocMsg)) -> Result<(), LinkError> {
+        self.link.receive_allocations(take)
+    }
+}
+
+impl StatTx for Noted<'_, '_> {
+    fn send_status(&mut self, status: &StatMsg) -> Result<(), LinkError> {
+        self.link.send_status(status)
+    }
+}
+
+impl Bell for Noted<'_, '_> {
+    fn token(&self) -> u32 {
+        self.link.token()
+    }
+
+    fn wait_until(&mut self, token: u32, until_ns: u64) -> Wake {
+        self.link.wait_until(token, until_ns)
+    }
+
+    fn ring(&mut self, role: Role) -> Result<(), LinkError> {
+        self.link.ring(role)
+    }
+}
+
+impl Clock for Noted<'_, '_> {
+    fn now_ns(&self) -> u64 {
+        self.link.now_ns()
     }
 }

@@ -2,18 +2,17 @@
 
 use serde::Serialize;
 use sortie_bundle::Bundle;
-use sortie_learn::evaluate::wilson_interval;
-
-use super::channel::Carried;
-use super::counted::Counted;
-use super::play::Played;
-use crate::firmware::FirmwareArguments;
-use crate::firmware::toolchain::Toolchain;
 use sortie_cli::failure::{Failure, Outcome};
 use sortie_cli::output::{Table, plural, say};
 use sortie_cli::worlds::tally::Tally;
+use sortie_learn::evaluate::wilson_interval;
 
-/// What was run.
+use super::device::Counted;
+use super::line::Carried;
+use super::play::Played;
+use crate::firmware::FirmwareArguments;
+use crate::firmware::toolchain::Toolchain;
+
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Ran {
     board: String,

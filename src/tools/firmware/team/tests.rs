@@ -9,10 +9,9 @@ use sortie_core::link::{Bell, Clock, FrameBlock, Processor, Serial, packet_bytes
 use sortie_core::roles::{Poll, RunnerOptions, RunnerRole};
 use sortie_core::{DecideError, Decision, Observation, Policy};
 
-use super::channel::{Channel, Pieces, packets};
-use super::counted::Counted;
+use super::device::Counted;
+use super::line::{Channel, Pieces, Port, packets};
 use super::play::{Played, runner_options};
-use super::port::Port;
 use super::*;
 
 /// Time that passes while somebody waits.

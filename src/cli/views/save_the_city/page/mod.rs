@@ -1,36 +1,32 @@
 //! An episode of SaveTheCity as a page.
 
-mod allocator;
 mod capture;
-mod data;
-mod episode;
-mod value_networks;
 mod values;
 
 use std::path::Path;
 
+use serde::Serialize;
 use sortie_envs::save_the_city::golden::Playback;
-use sortie_envs::save_the_city::{ACTION_NAMES, ENTRY, SIDE, SaveTheCity};
+use sortie_envs::save_the_city::{ACTION_NAMES, ENTRY, SIDE};
 use sortie_envs::{DecisionPoints, Split};
 use sortie_learn::LearnError;
 use sortie_methods::alma::agents::{Conditioning, NetworkPolicy};
 use sortie_methods::alma::evaluate::EvaluationPlan;
 use sortie_methods::alma::teams::{Allocate, Scene, ScriptedActors, Team};
-use sortie_stage::save_the_city::Names;
+use sortie_stage::save_the_city::{
+    AgentFacts, BuildingFacts, EpisodeResult, Event, Names, State, Step,
+};
 
-use crate::allocation::AllocatorChoice;
+use crate::allocation::{Allocation, AllocatorChoice};
+use crate::allocator::ProposalArguments;
 use crate::environment;
 use crate::failure::{Exit, Failure};
 use crate::policy::{Backend, DeployedPolicy};
-use crate::proposals::ProposalArguments;
-use crate::subject::Subject;
-use crate::subject_allocator::{self, SubjectAllocator};
-use crate::views::mind::DeployedMind;
+use crate::subject::{self, Subject, SubjectAllocator};
+use crate::views::captured::DeployedMind;
 use crate::views::page::{Deeds, FORMAT, Web, html, script, style};
 use crate::views::{Page, Wanted};
-use capture::{Captured, Thinker, capture};
-use data::Page as Data;
-use episode::{Played, Replayed, open_recording};
+use capture::{Captured, Played, Replayed, Thinker, capture, open_recording};
 use values::TeamValueProbe;
 
 pub(super) const WEB: Web = Web {
@@ -84,7 +80,7 @@ pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Fai
         environment::check_fits(bundle, &set)?;
     }
     let draws = (ProposalArguments::default(), seed);
-    let (allocation, mut allocator) = subject_allocator::open_for(
+    let (allocation, mut allocator) = subject::open_for(
         (subject, set.entry()),
         wanted.allocation,
         subject,
@@ -131,10 +127,10 @@ pub(super) fn recorded(wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure>
         let spec = sortie_envs::Environment::spec(world);
         environment::check_spec(bundle, spec, &world.scenario_set().name)?;
     }
-    let env = environment_of(world);
+    let env = format!("{}/{}", ENTRY.name, world.scenario_set().name);
     let choice = wanted.allocation.or_else(|| {
         let is_learned = subject.as_ref().is_some_and(Subject::has_allocator);
-        let labelled = allocator::of_label(&playback.labels().policy);
+        let labelled = of_label(&playback.labels().policy);
         labelled.filter(|choice| *choice != AllocatorChoice::Learned || is_learned)
     });
     let name = playback.labels().name.clone();
@@ -189,10 +185,6 @@ fn notes_on_recording(
         None => "No network was given: --policy RUN or BUNDLE adds what it computes.".into(),
     });
     notes
-}
-
-fn environment_of(world: &SaveTheCity) -> String {
-    format!("{}/{}", ENTRY.name, world.scenario_set().name)
 }
 
 /// Sets up who is asked, for as long as `watch` lasts.
@@ -253,4 +245,56 @@ fn data_of(subject: String, captured: Captured) -> Data {
 
 fn usage(message: &str) -> Failure {
     Failure::new(Exit::Usage, message)
+}
+
+/// Who allocated in a recording of `sortie eval --episodes-out`, by its label, where that can be
+/// computed again: random choices are lost.
+fn of_label(policy: &str) -> Option<AllocatorChoice> {
+    let (_, allocation) = policy.rsplit_once(", ")?;
+    let name = allocation.strip_suffix(" allocation")?;
+    match name {
+        "learned" => Some(AllocatorChoice::Learned),
+        "random" => None,
+        rule => Allocation::named(rule).ok().map(AllocatorChoice::Rule),
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct Data {
+    format: u32,
+    /// What was viewed: a run, a bundle, `scripted` or the name of a recording.
+    subject: String,
+    /// Who assigned agents; `None` where a recording does not say.
+    allocation: Option<String>,
+    /// `ENV/SET`.
+    env: String,
+    /// Seed and number of a played episode.
+    episode: Option<(u64, usize)>,
+    /// What the reader must know about where figures come from.
+    notes: Vec<String>,
+    side: u8,
+    actions: &'static [&'static str],
+    agents: Vec<AgentFacts>,
+    buildings: Vec<BuildingFacts>,
+    /// One more than steps: the last one is final.
+    states: Vec<State>,
+    steps: Vec<Step>,
+    events: Vec<Event>,
+    result: EpisodeResult,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn labels_of_own_recordings_name_who_allocated() {
+        let name = |label| of_label(label).map(AllocatorChoice::name);
+        assert_eq!(name("runs/a, b, heuristic allocation"), Some("heuristic"));
+        assert_eq!(name("scripted, coordinated allocation"), Some("coordinated"));
+        assert_eq!(name("runs/a, learned allocation"), Some("learned"));
+        for unknown in ["scripted, random allocation", "a, planned from learned allocation", "a"] {
+            assert_eq!(name(unknown), None);
+        }
+    }
 }

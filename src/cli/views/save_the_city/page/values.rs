@@ -1,15 +1,20 @@
 //! What the learned allocator expects of teams.
 
+use sortie_core::AllocateError;
+use sortie_core::allocate::{TaskRelation, TeamQuery as DeployedQuery, TeamValueNetwork};
+use sortie_envs::save_the_city::ENTRY;
 use sortie_learn::LearnError;
+use sortie_methods::alma::agents::{UtilityNetwork, UtilityPass};
 use sortie_methods::alma::export::LearnedAllocator;
-use sortie_methods::alma::teams::Scene;
+use sortie_methods::alma::records::team_value::{TeamQuery, TeamValueInput};
+use sortie_methods::alma::teams::{Scene, allocation_state};
 use sortie_stage::save_the_city::{TeamValues, candidates};
 
-use super::value_networks::{DeployedNetwork, RunNetwork, ValueTeams};
 use crate::allocator::LearnedAllocator as DeployedLearned;
 use crate::failure::Failure;
 use crate::policy::Backend;
 use crate::subject::Subject;
+use crate::worlds::relation;
 
 /// Asks a team-value network about the teams that are there, and about others.
 pub(super) struct TeamValueProbe<'a> {
@@ -33,7 +38,9 @@ impl<'a> TeamValueProbe<'a> {
     }
 
     fn of_run(LearnedAllocator { network, team_max }: LearnedAllocator<'a>) -> Self {
-        Self { network: Box::new(RunNetwork::new(network)), team_max }
+        let pass = UtilityPass::new(network.shape());
+        let network = RunNetwork { network, pass, input: TeamValueInput::default() };
+        Self { network: Box::new(network), team_max }
     }
 
     /// The values in one state, one entry per building, none for closed ones.
@@ -69,15 +76,78 @@ impl<'a> TeamValueProbe<'a> {
     }
 }
 
+/// Tells what teams at a building are worth.
+trait ValueTeams {
+    /// The value of every team, bit a of which stands for agent a, at an open building.
+    fn values(
+        &mut self,
+        scene: &Scene<'_>,
+        task: usize,
+        teams: &[u64],
+    ) -> Result<Vec<f32>, LearnError>;
+}
+
+/// A run's network, by the trainer's own forward pass.
+struct RunNetwork<'a> {
+    network: &'a UtilityNetwork,
+    pass: UtilityPass,
+    input: TeamValueInput,
+}
+
+impl ValueTeams for RunNetwork<'_> {
+    fn values(
+        &mut self,
+        scene: &Scene<'_>,
+        task: usize,
+        teams: &[u64],
+    ) -> Result<Vec<f32>, LearnError> {
+        let state = scene.state;
+        let queries = teams.iter().map(|&team| TeamQuery { state, task, team, turn: 0 });
+        let input = self.input.queries(scene.environment, queries);
+        Ok(self.pass.forward(self.network, input).to_vec())
+    }
+}
+
+/// A bundle's network, by what executes it in a deployed team.
+struct DeployedNetwork(DeployedLearned);
+
+impl ValueTeams for DeployedNetwork {
+    fn values(
+        &mut self,
+        scene: &Scene<'_>,
+        task: usize,
+        teams: &[u64],
+    ) -> Result<Vec<f32>, LearnError> {
+        let state = allocation_state(scene.environment, scene.state);
+        let state = state.view();
+        let travel = relation(&ENTRY);
+        let mut travel = travel.map_err(|failure| LearnError::Team(failure.message))?;
+        travel.observe(&state).map_err(refusal)?;
+        let mut related = vec![0.0; state.entity_task.len() * travel.columns()];
+        travel.write(&state, task, &mut related);
+        let network = self.0.network();
+        let mut network = network.map_err(|failure| LearnError::Team(failure.message))?;
+        let value = |&team| {
+            let query = DeployedQuery { state: &state, task, team, relation: &related };
+            network.value(&query).map_err(refusal)
+        };
+        teams.iter().map(value).collect()
+    }
+}
+
+fn refusal(error: AllocateError) -> LearnError {
+    LearnError::Team(error.to_string())
+}
+
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use sortie_envs::UNASSIGNED;
-    use sortie_envs::{EntitySet, Observation, Split};
+    use sortie_envs::{EntitySet, Observation, Split, UNASSIGNED};
     use sortie_learn::random::{Purpose, generator};
     use sortie_methods::alma::agents::{UtilityNetwork, UtilityPass, UtilityShape};
     use sortie_methods::alma::records::team_value::{TeamColumns, TeamQuery, TeamValueInput};
     use sortie_stage::rounded;
+
+    use super::*;
 
     #[test]
     fn values_are_those_of_the_network_for_the_teams_that_are_named() {

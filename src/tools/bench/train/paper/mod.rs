@@ -1,6 +1,5 @@
 //! Preset `paper`: CPU-seconds of both levels' steps, their parts, and the same steps in PyTorch.
 
-mod batch;
 mod learning;
 mod torch;
 
@@ -8,12 +7,11 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use serde::Serialize;
-
-use super::super::rounds::paired_ratio;
-use super::super::{Figures, Measuring, Ratio, Row, pin};
-use super::{Arithmetic, TrainArguments, at, find, peak_gflops, peak_row, row};
-use learning::{Call, Levels};
 use sortie_cli::failure::Failure;
+
+use super::super::{Figures, Measuring, pin};
+use super::{Arithmetic, TrainArguments, at, find, peak_gflops, peak_row, row, times};
+use learning::{Call, Levels};
 use torch::{Formulation, Torch};
 
 /// Rounds that are measured however little time there is.
@@ -56,7 +54,7 @@ pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
     let start = |python: PathBuf| Torch::start(&python, &mut levels, common.quiet);
     let (mut torch, found) = match python.map(start).transpose()? {
         Some((torch, found)) => (Some(torch), found),
-        None => (None, batch::compute(&mut levels, None)?),
+        None => (None, torch::compute(&mut levels, None)?),
     };
     let mut rounds = Rounds {
         low_level: Case::new(format!("low level's step, {} team values", found.terms)),
@@ -71,7 +69,7 @@ pub(super) fn measure(arguments: &TrainArguments) -> Result<Figures, Failure> {
     while rounds.played.len() < LEAST_ROUNDS || since.elapsed().as_secs_f64() < seconds {
         rounds.turn(&mut levels, torch.as_mut())?;
     }
-    Ok(rounds.figures(levels.episodes(), torch.as_ref().map(Torch::version)))
+    Ok(rounds.figures(levels.episodes(), torch.as_ref().map(|torch| torch.version.as_str())))
 }
 
 impl Case {
@@ -110,7 +108,6 @@ impl Case {
         }
     }
 
-    /// Medians of the parts.
     fn parts(&self) -> Vec<Part> {
         let names = self.calls.first().map_or(&[][..], |call| &call.parts);
         let median = |place: usize, of: fn(f64, f64) -> f64| {
@@ -170,10 +167,8 @@ impl Rounds {
             for (how, peers) in Formulation::ALL.into_iter().zip(&case.peers) {
                 let Some(version) = torch else { continue };
                 figures.rows.push(times(&case.name, how.engine(), version, peers));
-                let [ratio, low, high] = paired_ratio(&case.cpu_s(), peers);
-                let (what, case, engine, peer) =
-                    ("train", case.name.clone(), "sortie", how.engine());
-                figures.ratios.push(Ratio { what, case, engine, peer, ratio, low, high });
+                let engines = ["sortie", how.engine()];
+                figures.add_ratio("train", &case.name, engines, [&case.cpu_s(), peers]);
             }
         }
         let version = env!("CARGO_PKG_VERSION");
@@ -193,21 +188,6 @@ impl Rounds {
         ));
         figures.rows.push(peak_row(&self.peaks));
         figures
-    }
-}
-
-/// A row of CPU-seconds of one call.
-fn times(case: &str, engine: &'static str, version: &str, cpu_s: &[f64]) -> Row {
-    Row {
-        what: "train",
-        case: case.to_string(),
-        engine,
-        version: version.to_string(),
-        p50: at(cpu_s, 0.5),
-        p99: at(cpu_s, 0.99),
-        p999: None,
-        max: at(cpu_s, 1.0),
-        unit: "CPU-seconds",
     }
 }
 

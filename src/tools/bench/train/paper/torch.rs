@@ -1,20 +1,27 @@
 //! The same steps in PyTorch.
 
+use std::collections::HashMap;
 use std::path::Path;
 
 use serde::Deserialize;
-
-use super::super::program::{Comparison, Program};
-use super::batch::{self, Found};
-use super::learning::Levels;
 use sortie_cli::failure::{Exit, Failure};
+use sortie_envs::random::unit;
+use sortie_methods::alma::agents::UtilityNetwork;
+use sortie_methods::alma::windows::allocation::{
+    AllocationCritic, AllocationPolicy, AllocationShape, Noise, Rows, StepDraws,
+};
+use sortie_methods::alma::windows::low_level::{HYPERNETWORKS, LowLevelNetworks, Mixer};
+use sortie_methods::alma::windows::{PopArt, WindowShape, Windows};
+
+use super::super::program::{Comparison, Expected, Program, Tensors};
+use super::learning::Levels;
 
 const PROGRAM: &str = include_str!("../../../../../benches/published_step.py");
 
 /// A running program that waits for its turn.
 pub(super) struct Torch {
     program: Program,
-    version: String,
+    pub(super) version: String,
 }
 
 /// How the steps are written for PyTorch.
@@ -76,7 +83,7 @@ impl Torch {
     ) -> Result<(Self, Found), Failure> {
         let mut ours = None;
         let write = |path: &Path| {
-            ours = Some(batch::compute(levels, Some(path))?);
+            ours = Some(compute(levels, Some(path))?);
             Ok(())
         };
         let (program, ready) = Program::start::<Ready>(python, PROGRAM, &[], write)?;
@@ -91,11 +98,6 @@ impl Torch {
         Ok((Self { program, version: ready.torch }, ours))
     }
 
-    /// Version of torch.
-    pub(super) fn version(&self) -> &str {
-        &self.version
-    }
-
     /// CPU-seconds of one step of each level.
     pub(super) fn turn(&mut self, how: Formulation) -> Result<[f64; 2], Failure> {
         let mut step = |level: &str| -> Result<f64, Failure> {
@@ -103,5 +105,268 @@ impl Torch {
             Ok(turn.cpu_s)
         };
         Ok([step("low_level")?, step("allocation")?])
+    }
+}
+
+/// What our steps find for the batch.
+pub(super) struct Found {
+    pub(super) low_level: Expected,
+    pub(super) critic: Expected,
+    pub(super) policy: Expected,
+    /// Values that the low level learns, and decisions that the allocator learns from.
+    pub(super) terms: usize,
+    pub(super) rows: usize,
+}
+
+/// Computes both steps, and writes all that a peer needs to do the same if there is a `path`.
+pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found, Failure> {
+    let WindowShape { tasks, agents, .. } = levels.windows.shape;
+    let learning = *levels.allocation.learning();
+    let mut draws = StepDraws::draw(tasks, learning.shape.columns, &mut levels.generator);
+    let mut rows = Rows::default();
+    rows.collect(&levels.windows, 0, &learning.rows);
+    let length = rows.len() * learning.proposals * agents * tasks;
+    let mut gumbel = || {
+        let drawn = unit(&mut levels.generator).max(f64::MIN_POSITIVE);
+        -(-drawn.ln()).ln() as f32
+    };
+    let noise: Vec<f32> = (0..length).map(|_| gumbel()).collect();
+    draws.noise = Noise::Gumbel(&noise);
+
+    let mut low_level = levels.low_level.clone();
+    let report = low_level.descend(&levels.windows, 1, &mut levels.generator);
+    let mut allocation = levels.allocation.clone();
+    let allocated = allocation
+        .learn_with(&levels.windows, 0, &draws, 1)
+        .ok_or_else(|| Failure::new(Exit::Bug, "the batch holds no decision to learn from"))?;
+    let expected = |loss: f64, norm: f32| Expected { loss, gradient_norm: norm.into() };
+    let found = Found {
+        low_level: expected(report.loss, report.gradient_norm),
+        critic: expected(allocated.critic_loss, allocated.critic_norm),
+        policy: expected(
+            allocated.policy_loss - learning.entropy * allocated.entropy,
+            allocated.policy_norm,
+        ),
+        terms: report.terms,
+        rows: allocated.rows,
+    };
+    let Some(path) = path else { return Ok(found) };
+
+    let mut tensors = Tensors::default();
+    tensors.windows(&levels.windows);
+    tensors.rows(&levels.windows, &rows);
+    tensors.floats("noise".into(), &[rows.len(), learning.proposals, agents, tasks], &noise);
+    for (name, columns) in [
+        ("policy", &draws.proposals.policy),
+        ("critic", &draws.proposals.critic),
+        ("stored", &draws.stored),
+        ("target", &draws.target),
+    ] {
+        let columns: Vec<i64> = columns.iter().map(|column| i64::from(*column)).collect();
+        tensors.integers(format!("columns.{name}"), &[tasks], &columns);
+    }
+    tensors.low_level("online", &levels.low_level.online);
+    tensors.low_level("target", &levels.low_level.target);
+    let state = levels.allocation.state();
+    let misfit = || Failure::new(Exit::Bug, "parameters do not fit their network");
+    let target =
+        AllocationCritic::from_parameters(learning.shape, state.target, state.target_popart)
+            .ok_or_else(misfit)?;
+    let networks = levels.allocation.networks();
+    tensors.critic("critic", networks.critic);
+    tensors.critic("target_critic", &target);
+    tensors.policy("policy", networks.policy);
+
+    let gradient = low_level_gradient(&levels.low_level.online, low_level.gradient());
+    tensors.low_level("gradient.online", &gradient.ok_or_else(misfit)?);
+    let last = allocation.last_step();
+    let of_critic = unclipped(&last.critic_gradient, allocated.critic_norm);
+    let of_policy = unclipped(&last.policy_gradient, allocated.policy_norm);
+    let critic = AllocationCritic::from_parameters(learning.shape, of_critic, PopArt::default());
+    let policy = AllocationPolicy::from_parameters(learning.shape, of_policy);
+    tensors.critic("gradient.critic", &critic.ok_or_else(misfit)?);
+    tensors.policy("gradient.policy", &policy.ok_or_else(misfit)?);
+    let statistics = [state.popart, state.target_popart];
+    tensors.write(settings(levels, statistics), path).map_err(Failure::bug)?;
+    Ok(found)
+}
+
+/// The gradient with the norm that it had before it was clipped.
+fn unclipped(gradient: &[f32], norm: f32) -> Vec<f32> {
+    let now = gradient.iter().map(|slope| f64::from(*slope).powi(2)).sum::<f64>().sqrt();
+    let factor = (f64::from(norm) / now.max(f64::MIN_POSITIVE)) as f32;
+    gradient.iter().map(|slope| slope * factor).collect()
+}
+
+/// A gradient in the shape of its networks, or `None` where lengths differ.
+fn low_level_gradient(of: &LowLevelNetworks, gradient: &[f32]) -> Option<LowLevelNetworks> {
+    let (agents, mixer) = gradient.split_at_checked(of.agents.parameters().len())?;
+    Some(LowLevelNetworks {
+        agents: UtilityNetwork::from_parameters(of.agents.shape(), agents.to_vec())?,
+        gru: Vec::new(),
+        mixer: Mixer::from_parameters(of.mixer.shape(), mixer.to_vec())?,
+        popart: PopArt::default(),
+    })
+}
+
+/// The numbers of both steps, as the file's metadata.
+fn settings(levels: &Levels, [critic, target_critic]: [PopArt; 2]) -> HashMap<String, String> {
+    let Levels { config, low_level, allocation, windows, .. } = levels;
+    let (online, target) = (low_level.online.popart, low_level.target.popart);
+    let settings = [
+        ("steps", windows.shape.steps as f64),
+        ("heads", config.low_level.heads as f64),
+        ("proposals", config.allocation.proposals as f64),
+        ("discount", config.low_level.returns.discount.into()),
+        ("clip", config.low_level.clip.into()),
+        ("entropy", allocation.learning().entropy),
+        ("learning_rate", allocation.learning().learning_rate.into()),
+        ("mean", online.mean),
+        ("variance", online.variance),
+        ("target_mean", target.mean),
+        ("target_variance", target.variance),
+        ("critic_mean", critic.mean),
+        ("critic_variance", critic.variance),
+        ("target_critic_mean", target_critic.mean),
+        ("target_critic_variance", target_critic.variance),
+    ];
+    settings.map(|(name, value)| (name.to_string(), value.to_string())).into()
+}
+
+/// Numbers with -1 for none.
+fn or_none(values: &[u8]) -> Vec<i64> {
+    values.iter().map(|value| if *value == u8::MAX { -1 } else { i64::from(*value) }).collect()
+}
+
+impl Tensors {
+    fn windows(&mut self, windows: &Windows) {
+        let WindowShape { agents, entities, tasks, actions, features, .. } = windows.shape;
+        let states = windows.shape.states();
+        let mut dense = vec![0.0; states * entities * features];
+        for (row, values) in dense.chunks_exact_mut(features).enumerate() {
+            windows.features.row(row).for_each(|(column, value)| values[column] = value);
+        }
+        let available: Vec<bool> = windows.available.iter().map(|code| *code > 0).collect();
+        let taken: Vec<i64> = windows.actions.iter().map(|action| i64::from(*action)).collect();
+        let name = |part: &str| format!("batch.{part}");
+        self.floats(name("features"), &[states, entities, features], &dense);
+        self.flags(name("present"), &[states, entities], &windows.present);
+        self.flags(name("observable"), &[states, agents, entities], &windows.observable);
+        self.integers(name("entity_task"), &[states, entities], &or_none(&windows.entity_task));
+        self.flags(name("available"), &[states, agents, actions], &available);
+        self.integers(name("actions"), &[states, agents], &taken);
+        self.integers(name("last_actions"), &[states, agents], &or_none(&windows.last_actions));
+        self.floats(name("task_reward"), &[states, tasks], &windows.task_reward);
+        self.flags(name("task_terminated"), &[states, tasks], &windows.task_terminated);
+        self.flags(name("task_unfinished"), &[states, tasks], &windows.task_unfinished);
+        self.flags(name("has_transition"), &[states], &windows.has_transition);
+    }
+
+    /// The decision points, in the order of the windows.
+    fn rows(&mut self, windows: &Windows, rows: &Rows) {
+        let WindowShape { agents, tasks, .. } = windows.shape;
+        let decided = (0..windows.shape.states()).filter(|state| windows.decision[*state]);
+        let (mut states, mut open, mut last) = (Vec::new(), Vec::new(), Vec::new());
+        for state in decided.take(rows.len()) {
+            states.push(state as i64);
+            open.extend_from_slice(&windows.open[state * tasks..][..tasks]);
+            last.extend_from_slice(&windows.last_allocation[state * agents..][..agents]);
+        }
+        let count = rows.len();
+        self.integers("rows.state".into(), &[count], &states);
+        self.flags("rows.open".into(), &[count, tasks], &open);
+        self.integers("rows.last_allocation".into(), &[count, agents], &or_none(&last));
+        self.floats("rows.reward".into(), &[count], &rows.reward);
+        self.flags("rows.terminated".into(), &[count], &rows.terminated);
+        self.flags("rows.mask".into(), &[count], &rows.mask);
+        self.floats("rows.weight".into(), &[count], &rows.weight);
+    }
+
+    fn low_level(&mut self, of: &str, networks: &LowLevelNetworks) {
+        self.network(&format!("{of}.agents"), &networks.agents);
+        self.mixer(of, &networks.mixer);
+    }
+
+    fn mixer(&mut self, of: &str, mixer: &Mixer) {
+        let shape = mixer.shape().hypernetwork;
+        let (input, width, mixing) = (shape.input, shape.width, shape.mixing);
+        let own = mixer.parameters().chunks_exact(shape.parameters());
+        for ((name, _), parameters) in HYPERNETWORKS.iter().zip(own) {
+            let (fc1, rest) = parameters.split_at(input * width);
+            let columns = 0..width;
+            let fc1: Vec<f32> =
+                columns.flat_map(|j| fc1.iter().skip(j).step_by(width)).copied().collect();
+            let square = width * width;
+            let mut rest = rest;
+            let mut take = |length: usize| {
+                let (own, behind) = rest.split_at(length);
+                rest = behind;
+                own.to_vec()
+            };
+            // Queries, keys and values stand one behind the other.
+            let layers: [(&str, &[usize], Vec<f32>); 7] = [
+                ("fc1.weight", &[width, input], fc1),
+                ("fc1.bias", &[width], take(width)),
+                ("attention.in.weight", &[3 * width, width], take(3 * square)),
+                ("attention.out.weight", &[width, width], take(square)),
+                ("attention.out.bias", &[width], take(width)),
+                ("fc2.weight", &[mixing, width], take(mixing * width)),
+                ("fc2.bias", &[mixing], take(mixing)),
+            ];
+            for (layer, shape, values) in layers {
+                self.floats(format!("{of}.{name}.{layer}"), shape, &values);
+            }
+        }
+        let (weights, biases) = mixer.head();
+        self.floats(format!("{of}.head.weight"), &[weights.len()], weights);
+        self.floats(format!("{of}.head.bias"), &[biases.len()], biases);
+    }
+
+    fn critic(&mut self, of: &str, critic: &AllocationCritic) {
+        let AllocationShape { features, columns, width, .. } = critic.shape();
+        let w = critic.weights();
+        self.layers(
+            of,
+            &[
+                ("entity.weight", &[width, features], &w.entity_weight),
+                ("entity.bias", &[width], &w.entity_bias),
+                ("task.weight", &[width, columns], &w.task_weight),
+                ("count.weight", &[width, 2], &w.count_weight),
+                ("count.bias", &[width], &w.count_bias),
+                ("attention.in.weight", &[3 * width, width], &w.attention_in_weight),
+                ("attention.out.weight", &[width, width], &w.attention_out_weight),
+                ("attention.out.bias", &[width], &w.attention_out_bias),
+                ("value.weight", &[1, width], &w.value_weight),
+                ("value.bias", &[1], &w.value_bias),
+                ("head.weight", &[1], &[w.popart_weight]),
+                ("head.bias", &[1], &[w.popart_bias]),
+            ],
+        );
+    }
+
+    fn policy(&mut self, of: &str, policy: &AllocationPolicy) {
+        let AllocationShape { features, columns, width, .. } = policy.shape();
+        let w = policy.weights();
+        self.layers(
+            of,
+            &[
+                ("entity.weight", &[width, features], &w.entity_weight),
+                ("entity.bias", &[width], &w.entity_bias),
+                ("task.weight", &[width, columns], &w.task_weight),
+                ("attention.in.weight", &[3 * width, width], &w.attention_in_weight),
+                ("attention.out.weight", &[width, width], &w.attention_out_weight),
+                ("attention.out.bias", &[width], &w.attention_out_bias),
+                ("count.weight", &[width, 2], &w.count_weight),
+                ("count.bias", &[width], &w.count_bias),
+                ("update.weight", &[width, 2 * width], &w.update_weight),
+                ("update.bias", &[width], &w.update_bias),
+            ],
+        );
+    }
+
+    fn layers(&mut self, of: &str, layers: &[(&str, &[usize], &[f32])]) {
+        for (name, shape, values) in layers {
+            self.floats(format!("{of}.{name}"), shape, values);
+        }
     }
 }

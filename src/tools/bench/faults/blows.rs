@@ -5,19 +5,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, Sender};
 use std::time::Duration;
 
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use rustix::process::{Pid, Signal, kill_process};
 use sortie_core::link::Clock;
 use sortie_core::roles::{TickReport, WorldObserver};
 use sortie_core::wire::{AllocMsg, Role, StatMsg};
+use sortie_ipc::{Domain, MonotonicClock, Stop};
 
-use super::checks::Checks;
-use super::team::AGENTS;
+use super::team::{AGENTS, Checks};
 use super::{StormReport, StormSettings};
-use rand_xoshiro::SplitMix64;
-use rand_xoshiro::rand_core::{Rng, SeedableRng};
-use sortie_ipc::Domain;
-use sortie_ipc::MonotonicClock;
-use sortie_ipc::Stop;
 
 /// Ticks in a row that all have to answer before the next blow.
 const CALM: u32 = 5;
@@ -34,10 +31,8 @@ struct Blow {
     pause: Duration,
 }
 
-/// What is waited for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Awaited {
-    /// A calm team.
     Calm,
     /// Another process than this one, for this agent.
     Runner {

@@ -1,10 +1,11 @@
-//! Rules and relations of an environment, by the names of the command line.
+//! The built-in worlds of `run`: environments behind the runtime's traits, which pages in a browser play in as well.
 
 use sortie_envs::Entry;
-pub use sortie_stage::{FrameRelation, RuleAllocator};
 
 use crate::allocation::Allocation;
 use crate::failure::{Exit, Failure};
+
+pub use sortie_stage::{FrameRelation, RuleAllocator, tally, world};
 
 /// A rule of allocation; `seed` matters to rules that draw.
 pub fn rule_allocator(
