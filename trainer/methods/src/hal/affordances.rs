@@ -1,4 +1,5 @@
-//! Which milestones can be reached next, learned from what options came to.
+//! Which milestones can be reached next, learned from what options came to; and false negatives: states that look like
+//! positives though something else happened (dissertation section 6.3).
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::Random;

@@ -1,4 +1,4 @@
-//! Options at work: which milestone to go for, and how.
+//! Options at work: which milestone to go for, and how; what agents do that are learned from is kept, option by option.
 
 use serde::{Deserialize, Serialize};
 use sortie_core::options::{least_missed, view_of};

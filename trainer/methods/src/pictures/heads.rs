@@ -1,4 +1,5 @@
-//! Numbers of a head that are values of actions.
+//! Numbers of a head that are values of actions, and weights that follow a gradient, with those that targets are computed
+//! by and those that are measured.
 
 use sortie_core::options;
 use sortie_envs::Random;

@@ -1,4 +1,5 @@
-//! The networks: a body, two hidden layers over sparse inputs or convolutions, and a head.
+//! The networks: a body, two hidden layers over sparse inputs or convolutions as the public code of HAL has them, and a
+//! head.
 
 use sortie_core::options::PictureShape;
 use sortie_learn::export::DenseLayer;

@@ -1,4 +1,5 @@
-//! Entities embedded and looked at: what agents and hypernetworks begin with.
+//! Entities embedded and looked at: what agents and hypernetworks begin with. Where few rows make many pairs, attention
+//! looks its scores up in those of rows by rows.
 
 use std::ops::Range;
 

@@ -1,4 +1,8 @@
-//! What networks look at: the entities of any number of independent states.
+//! What networks look at: the entities of any number of independent states, and their partitions, for imagination
+//! (dissertation section 5.4).
+//!
+//! A partition says for each agent which entities are in its part. The imagined utilities see either
+//! what lies within or what lies across.
 
 use std::collections::HashMap;
 

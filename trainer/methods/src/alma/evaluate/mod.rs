@@ -1,7 +1,7 @@
 //! Measures a team: greedy episodes on starts that training never sees.
 //!
 //! Any [`Team`] under any allocator can be measured. Episode e of a seed is the same whoever plays it, so that teams can
-//! be compared pair by pair.
+//! be compared pair by pair. Worlds stand side by side: who is due decides, all act at once, each is stepped.
 
 mod planner;
 

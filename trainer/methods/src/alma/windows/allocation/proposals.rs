@@ -1,7 +1,7 @@
 //! Allocations proposed by the policy, with their probabilities, and the way back to its weights.
 //!
 //! Dissertation section 7.2.2 and the public code's autoregressive pointer policy, rewritten so that every
-//! distinct thing is computed once: see [`super::trunk`], [`super::teams`] and [`super::teams`].
+//! distinct thing is computed once: see [`super::trunk`] and [`super::teams`].
 
 use std::ops::Range;
 

@@ -3,6 +3,8 @@
 //! An agent that joins adds `W relu([task; agent]) + b` to the vector of its subtask. Both halves of the
 //! product stand alone: the agent's is the same for all proposals, the task's for all agents that join
 //! this very team. So a team is computed once, whatever else the proposals around it say.
+//!
+//! Allocations are proposed agent by agent: proposals that begin alike share what follows from it, as a tree.
 
 use std::ops::Range;
 

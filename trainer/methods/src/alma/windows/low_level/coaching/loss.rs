@@ -4,6 +4,8 @@
 //! sees and does; the logarithm of the guess's density is to be large, and so is, a tenth as much, the
 //! entropy of what the strategy was drawn from. Both are sums over a strategy's numbers, and means over
 //! the agents of a state and over the states that can be learned from.
+//!
+//! Strategies of a batch of windows are drawn where they are decided, and held until the next decision.
 
 use super::state_input;
 use crate::alma::agents::{TaskOrder, UtilityInput};
