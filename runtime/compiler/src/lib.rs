@@ -17,6 +17,7 @@ mod linked;
 mod lower;
 mod matching;
 pub mod onnxruntime;
+mod reference;
 mod tract;
 
 pub use answer::{answer_compiler, inspect, inspect_onnx};

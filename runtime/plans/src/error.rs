@@ -151,6 +151,43 @@ pub enum CompileError {
         /// The seed of the inputs.
         seed: u64,
     },
+    /// The plan is further from the truth than 32 bits account for, so it was thrown away.
+    #[error(
+        "the plan is wrong on random input {input} of seed {seed}: it gives {number:e} where the file's nodes, in double \
+         precision, give {truth:e}; that is {distance:.0} times what 32 bits make any engine err there (limit {limit}, \
+         root mean square of an output's number {mean:.1} of {mean_limit}): please report this file"
+    )]
+    Wrong {
+        /// The plan's number.
+        number: f32,
+        /// What it should be.
+        truth: f64,
+        /// The distance, in units of the scatter of right engines.
+        distance: f64,
+        /// The largest distance allowed.
+        limit: f64,
+        /// The largest root mean square of any output number's distances.
+        mean: f64,
+        /// The largest allowed.
+        mean_limit: f64,
+        /// The input.
+        input: usize,
+        /// The seed of the inputs.
+        seed: u64,
+    },
+    /// The plan answers where the network has no answer, or gives none where it has one.
+    #[error(
+        "on random input {input} of seed {seed} the plan {}: please report this file",
+        if *.answers { "answers, and the network's numbers are not finite" } else { "gives no answer, and the network does" }
+    )]
+    AnswersOtherwise {
+        /// Whether the plan answers.
+        answers: bool,
+        /// The input.
+        input: usize,
+        /// The seed of the inputs.
+        seed: u64,
+    },
     /// The network could not be run on an observation.
     #[error("the network cannot be run: {reason}")]
     Run {

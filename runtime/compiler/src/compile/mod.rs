@@ -21,6 +21,8 @@ use parity::{entities_against_graph, plan_against_graph, team_values_against_gra
 
 pub use parity::{compare_entities_with_graph, compare_team_values_with_graph, compare_with_graph};
 pub use policy::compile_policy;
+#[cfg(test)]
+pub(crate) use policy::prove_policy;
 pub use proposals::{compare_proposals_with_graphs, compile_proposals};
 
 /// Compiles an ONNX file, a network of an agent, of an allocator or over all entities, and proves the plan against it.

@@ -88,7 +88,7 @@ fn passed_over(node: &NodeProto) -> Option<String> {
     }
     match node.op_type.as_str() {
         "Celu" => {
-            let alpha = attribute("alpha").filter(|alpha| alpha.f != 1.0);
+            let alpha = attribute("alpha").filter(|alpha| alpha.f.is_nan() || alpha.f <= 0.0);
             alpha.map(|alpha| format!("alpha = {}", alpha.f))
         }
         "GlobalLpPool" => Some("a root of its sums".to_owned()),

@@ -27,7 +27,9 @@ pub(crate) use facts::{Interface, other_values};
 /// A policy, read.
 #[derive(Debug)]
 pub(crate) struct FlatGraph {
-    /// The part of the file that is needed, sizes fixed.
+    /// The part of the file that is needed, sizes fixed, nodes as they stand in it: what the truth is computed from.
+    pub(crate) source: pb::ModelProto,
+    /// The same, some nodes taken apart for tract.
     pub(crate) file: pb::ModelProto,
     /// The same, simplified.
     pub(crate) model: TypedModel,
@@ -37,7 +39,8 @@ pub(crate) struct FlatGraph {
 impl FlatGraph {
     /// Reads a file and finds what is what in it.
     pub(crate) fn read(onnx: &[u8], options: &PolicyOptions) -> Result<Self, CompileError> {
-        let (file, values) = fixed(onnx, options)?;
+        let source = fixed(onnx, options)?;
+        let (file, values) = taken_apart(&source);
         let selection = Selection::of(&file, &values, options)?;
         let outputs = selection.outputs();
         let file = cut(&file, &outputs);
@@ -50,7 +53,8 @@ impl FlatGraph {
         let model = guarded(read).map_err(|reason| CompileError::Unreadable { reason })?;
         let facts = selection.facts(&file, &model, options)?;
         let scores = selection.scores(&outputs, &model);
-        Ok(Self { file, model, interface: Interface { facts, outputs, scores } })
+        let source = cut(&source, &outputs);
+        Ok(Self { source, file, model, interface: Interface { facts, outputs, scores } })
     }
 }
 
@@ -59,7 +63,7 @@ pub(crate) type Described = [Vec<(String, String)>; 2];
 
 /// Describes the inputs and outputs of a file whose sizes can be fixed.
 pub(crate) fn described(onnx: &[u8], options: &PolicyOptions) -> Result<Described, CompileError> {
-    let (_, Values { inputs, outputs }) = fixed(onnx, options)?;
+    let (_, Values { inputs, outputs }) = taken_apart(&fixed(onnx, options)?);
     let describe = |value: Value| (value.name.clone(), value.text());
     Ok([inputs, outputs].map(|values| values.into_iter().map(describe).collect()))
 }
@@ -73,8 +77,8 @@ pub(crate) fn declared(file: &pb::ModelProto) -> Described {
     [inputs, outputs].map(Option::unwrap_or_default)
 }
 
-/// A file with all sizes fixed.
-fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<(pb::ModelProto, Values), CompileError> {
+/// A file with all sizes fixed, and the likeliest of what it draws.
+fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<pb::ModelProto, CompileError> {
     let mut file = guarded(|| reader().proto_model_for_read(&mut &*onnx))
         .map_err(|reason| CompileError::Unreadable { reason })?;
     misread::widen(&mut file);
@@ -83,7 +87,13 @@ fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<(pb::ModelProto, Values
     if options.outputs.iter().any(|output| output.ends_with(nodes::LIKELIEST)) {
         nodes::take_likeliest(graph);
     }
+    Ok(file)
+}
+
+/// A file as tract reads it, and what goes into and comes out of it.
+fn taken_apart(source: &pb::ModelProto) -> (pb::ModelProto, Values) {
+    let mut file = source.clone();
     apart::take_apart(&mut file);
     let values = Values::of(&file);
-    Ok((file, values))
+    (file, values)
 }

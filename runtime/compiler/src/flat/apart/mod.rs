@@ -1,6 +1,7 @@
 //! Operators that tract does not read, or plans do not have, as others that compute the same.
 
 mod quantised;
+mod units;
 
 use tract_onnx::pb::tensor_proto::DataType::{Bool, Float, Int64};
 use tract_onnx::pb::{AttributeProto, ModelProto, NodeProto, TensorProto};
@@ -38,6 +39,7 @@ type Writer = fn(&mut Parts<'_>) -> Option<()>;
 fn writer(node: &NodeProto) -> Option<Writer> {
     match node.op_type.as_str() {
         "Attention" if node.domain.is_empty() => Some(attention),
+        "Celu" => Some(units::celu),
         "ConvTranspose" => Some(quantised::spread),
         "QuantizeLinear"
         | "DequantizeLinear"
@@ -45,6 +47,9 @@ fn writer(node: &NodeProto) -> Option<Writer> {
         | "QLinearMatMul"
         | "MatMulInteger"
         | "ConvInteger" => Some(quantised::write),
+        "LogSoftmax" => Some(units::log_softmax),
+        "ReduceLogSumExp" => Some(units::log_sum_exp),
+        "Selu" => Some(units::selu),
         "GRU" | "LSTM" | "RNN" if is_backwards(node) => Some(turned),
         _ => None,
     }
@@ -84,6 +89,12 @@ impl Parts<'_> {
 
     fn attribute(&self, name: &str) -> Option<&AttributeProto> {
         self.node.attribute.iter().find(|attribute| attribute.name == name)
+    }
+
+    /// The version of the operators that the file uses.
+    fn version(&self) -> i64 {
+        let own = self.file.opset_import.iter().find(|set| ["", "ai.onnx"].contains(&&*set.domain));
+        own.map_or(0, |set| set.version)
     }
 
     fn whole(&self, name: &str) -> i64 {

@@ -1,4 +1,4 @@
-//! Loops and branches: laid open they are steps like others. Compiling proves each against tract on 256 inputs.
+//! Loops and branches: laid open they are steps like others. Compiling proves each by double precision on 256 inputs.
 
 use sortie_plans::PolicyOptions;
 use tract_onnx::pb::tensor_proto::DataType::{Bool, Float, Int32};

@@ -1,10 +1,12 @@
 //! What is what in small files made for it.
 
 mod entities;
+mod faults;
 mod files;
 mod graphs;
 mod loops;
 mod narrow;
+mod operators;
 mod outputs;
 mod plans;
 mod seldom;

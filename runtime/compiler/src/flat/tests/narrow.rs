@@ -1,4 +1,4 @@
-//! Files of numbers of 16 bits. Compiling proves each against tract on 256 inputs.
+//! Files of numbers of 16 bits. Compiling proves each by double precision on 256 inputs.
 
 use sortie_plans::ValueType;
 use tract_onnx::pb::tensor_proto::DataType::{self, Bfloat16, Float, Float16};

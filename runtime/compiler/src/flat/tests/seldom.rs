@@ -1,4 +1,4 @@
-//! Operators that few policies have: each is compiled alone, and compiling proves it against tract on 256 inputs.
+//! Operators that few policies have: each is compiled alone, and compiling proves it by double precision on 256 inputs.
 
 use tract_onnx::pb::AttributeProto;
 use tract_onnx::pb::tensor_proto::DataType::{Float, Int64};

@@ -1,5 +1,5 @@
 //! What has an operator of its own in plans: recurrent units, convolutions, functions made of several nodes. Compiling
-//! proves each against tract on 256 inputs, states fed back.
+//! proves each by double precision on 256 inputs, states fed back.
 
 use sortie_core::plan::{AlignedBytes, Plan, Profile};
 use sortie_plans::{CompileError, CompileOptions, PolicyOptions};

@@ -23,6 +23,11 @@ impl Lowering<'_> {
             let to = self.map(Function::LeakyRelu, [*alpha, 0.0], from);
             return self.give(node, 0, to);
         }
+        if let Some(x) = self.softplus_of(node, op) {
+            let x = self.value(x)?.place;
+            let to = self.map(Function::Softplus, [0.0; 2], x);
+            return self.give(node, 0, to);
+        }
         let to = match op.0.name().as_str() {
             "Tanh" => self.map(Function::Tanh, [0.0; 2], from),
             "Sigmoid" => self.map(Function::Sigmoid, [0.0; 2], from),
@@ -68,21 +73,45 @@ impl Lowering<'_> {
                 let cosine = self.map(Function::Cosine, [0.0; 2], from);
                 self.combine(Combination::Divide, sine, cosine)
             }
-            "Sinh" => self.powers(from, -0.5),
-            "Cosh" => self.powers(from, 0.5),
+            // The difference of two powers would cancel around zero.
+            "Sinh" => {
+                let tanh = self.map(Function::Tanh, [0.0; 2], from);
+                let cosh = self.cosh(from);
+                self.combine(Combination::Multiply, tanh, cosh)
+            }
+            "Cosh" => self.cosh(from),
+            // |x| + x² / (1 + √(1 + x²)) is e to the result's size, less one.
             "Asinh" => {
                 let size = self.map(Function::Absolute, [0.0; 2], from);
-                let place = self.logarithm_with_root(size, 1.0);
+                let square = self.combine(Combination::Multiply, from, from);
+                let sum = self.map(Function::Affine, [1.0, 1.0], square);
+                let root = self.map(Function::Sqrt, [0.0; 2], sum);
+                let below = self.map(Function::Affine, [1.0, 1.0], root);
+                let rest = self.combine(Combination::Divide, square, below);
+                let beyond = self.combine(Combination::Add, size, rest);
+                let place = self.logarithm_beyond_one(beyond);
                 let sign = self.map(Function::Sign, [0.0; 2], from);
                 self.combine(Combination::Multiply, place, sign)
             }
-            "Acosh" => self.logarithm_with_root(from, -1.0),
+            // With t = x - 1: t + √(t (t + 2))
+            "Acosh" => {
+                let beyond = self.map(Function::Affine, [1.0, -1.0], from);
+                let other = self.map(Function::Affine, [1.0, 1.0], from);
+                let square = self.combine(Combination::Multiply, beyond, other);
+                let root = self.map(Function::Sqrt, [0.0; 2], square);
+                let beyond = self.combine(Combination::Add, beyond, root);
+                self.logarithm_beyond_one(beyond)
+            }
+            // Half the logarithm of 1 + 2 |x| / (1 - |x|)
             "Atanh" => {
-                let above = self.map(Function::Affine, [1.0, 1.0], from);
-                let below = self.map(Function::Affine, [-1.0, 1.0], from);
-                let ratio = self.combine(Combination::Divide, above, below);
-                let logarithm = self.map(Function::Ln, [0.0; 2], ratio);
-                self.map(Function::Affine, [0.5, 0.0], logarithm)
+                let size = self.map(Function::Absolute, [0.0; 2], from);
+                let below = self.map(Function::Affine, [-1.0, 1.0], size);
+                let ratio = self.combine(Combination::Divide, size, below);
+                let beyond = self.map(Function::Affine, [2.0, 0.0], ratio);
+                let logarithm = self.logarithm_beyond_one(beyond);
+                let half = self.map(Function::Affine, [0.5, 0.0], logarithm);
+                let sign = self.map(Function::Sign, [0.0; 2], from);
+                self.combine(Combination::Multiply, half, sign)
             }
             "Atan" => self.map(Function::ArcTangent, [0.0; 2], from),
             "Asin" => self.arc_sine(from),
@@ -104,24 +133,41 @@ impl Lowering<'_> {
         self.give(node, 0, to)
     }
 
-    /// eˣ / 2 and so many e⁻ˣ
-    fn powers(&mut self, x: Place, inverse: f32) -> Place {
-        let power = self.map(Function::Exp, [0.0; 2], x);
-        let one_over = self.map(Function::Reciprocal, [0.0; 2], power);
-        let (left, right) = (
-            self.map(Function::Affine, [0.5, 0.0], power),
-            self.map(Function::Affine, [inverse, 0.0], one_over),
-        );
-        self.combine(Combination::Add, left, right)
+    /// The x of ln(1 + eˣ), as tract writes softplus: its parts one by one would end where the power does.
+    fn softplus_of(&self, node: &TypedNode, op: &ElementWiseOp) -> Option<OutletId> {
+        if op.0.name() != "Ln" {
+            return None;
+        }
+        let sum = self.model.node(node.inputs.first()?.node);
+        let is_sum = sum.op_as::<TypedBinOp>().is_some_and(|op| op.0.name() == "Add");
+        let [left, right] = sum.inputs[..] else { return None };
+        let power = match [left, right].map(|outlet| self.uniform(outlet)) {
+            [Some(1.0), None] => right,
+            [None, Some(1.0)] => left,
+            _ => return None,
+        };
+        let power = self.model.node(power.node);
+        let is_power = power.op_as::<ElementWiseOp>().is_some_and(|op| op.0.name() == "Exp");
+        let sizes = |node: &TypedNode| self.shape(node, 0).ok();
+        let found = is_sum && is_power && sizes(power) == sizes(sum);
+        if found { power.inputs.first().copied() } else { None }
     }
 
-    /// ln(x + √(x² + c))
-    fn logarithm_with_root(&mut self, x: Place, c: f32) -> Place {
-        let square = self.combine(Combination::Multiply, x, x);
-        let sum = self.map(Function::Affine, [1.0, c], square);
-        let root = self.map(Function::Sqrt, [0.0; 2], sum);
-        let sum = self.combine(Combination::Add, x, root);
-        self.map(Function::Ln, [0.0; 2], sum)
+    /// (eˣ + e⁻ˣ) / 2
+    fn cosh(&mut self, x: Place) -> Place {
+        let size = self.map(Function::Absolute, [0.0; 2], x);
+        let power = self.map(Function::Exp, [0.0; 2], size);
+        let one_over = self.map(Function::Reciprocal, [0.0; 2], power);
+        let sum = self.combine(Combination::Add, power, one_over);
+        self.map(Function::Affine, [0.5, 0.0], sum)
+    }
+
+    /// ln(1 + x) of x that is not negative, close to zero as well: ln(1 + eʸ) of x's logarithm y.
+    fn logarithm_beyond_one(&mut self, x: Place) -> Place {
+        // Of zero there is no logarithm, and beside others this number does not count.
+        let x = self.map(Function::Affine, [1.0, f32::MIN_POSITIVE], x);
+        let logarithm = self.map(Function::Ln, [0.0; 2], x);
+        self.map(Function::Softplus, [0.0; 2], logarithm)
     }
 
     /// The arc tangent of x / √((1 - x) (1 + x))
