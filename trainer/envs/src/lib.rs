@@ -30,6 +30,7 @@ mod bytes;
 pub mod conformance;
 pub mod crafting;
 mod decisions;
+mod entry;
 pub mod environment;
 pub mod frame;
 #[cfg(feature = "std")]
@@ -40,6 +41,8 @@ pub mod milestones;
 pub mod observation;
 pub mod particle;
 pub mod random;
+#[cfg(feature = "std")]
+mod recorded;
 pub mod registry;
 pub mod rows;
 pub mod save_the_city;

@@ -14,10 +14,10 @@ use super::observation::{NAME, spec, write_row};
 use super::rules::{Chance, Drawn, Episode, Normals, Pit, Rules, Task, script};
 use super::{ACTION_NAMES, VERSION};
 use crate::bytes::known;
+use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Split, StateError, Step, StepError, checked_actions};
 use crate::observation::{EntitySet, Observation, members};
 use crate::random::{Random, chance, generator};
-use crate::registry::{Choice, Entry, EnvironmentError};
 use crate::spec::Spec;
 
 /// The gridworld, many instances in one object. A step allocates nothing.

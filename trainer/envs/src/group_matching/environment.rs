@@ -13,10 +13,10 @@ use super::ring::{
     member_bytes, moved, reward, same_group, slipped, state_bytes, walk,
 };
 use crate::bytes::known;
+use crate::entry::{Choice, EnvironmentError};
 use crate::environment::{Environment, Split, StateError, Step, StepError, checked_actions};
 use crate::observation::{EntitySet, Observation, members};
 use crate::random::Random;
-use crate::registry::{Choice, EnvironmentError};
 use crate::spec::{Metric, Shape, Spec, View};
 
 /// The names of the columns of a row: cells, groups, agents.

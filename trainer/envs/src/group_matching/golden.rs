@@ -11,7 +11,7 @@ use super::environment::{GroupMatching, write_row};
 use super::parameters::{MAX_AGENTS, MAX_CELLS, MAX_GROUPS, Parameters};
 use super::ring::{ACTIONS, Ring, State, member_bytes, same_group};
 use crate::environment::{Environment, Step};
-use crate::golden::{Comparison, Field, GoldenError, Recordings, Replay};
+use crate::recorded::{Comparison, Field, GoldenError, Recordings, Replay};
 
 /// The schema that files must name.
 pub const SCHEMA: &str = "sortie-golden/group-matching/1";

@@ -12,7 +12,7 @@ mod ring;
 use alloc::boxed::Box;
 use alloc::string::String;
 
-use crate::Entry;
+use crate::entry::Entry;
 use environment::NAME;
 
 pub use environment::{EpisodeMetrics, GroupMatching, columns, feature_names, sizes, write_row};

@@ -16,10 +16,10 @@ use super::rules::{
 };
 use super::world::{EMPTY, Game, ITEMS, World};
 use crate::bytes::known;
+use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Split, StateError, Step, StepError};
 use crate::observation::{EntitySet, Observation};
 use crate::random::{Random, below, chance};
-use crate::registry::{Choice, Entry, EnvironmentError};
 use crate::spec::Spec;
 
 /// What every step costs: a discount of 0.99, as the public code subtracts it.

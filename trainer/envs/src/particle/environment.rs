@@ -14,10 +14,10 @@ use super::rover_tower::RoverTower;
 use super::scenario::{Picture, Row, Scenario, State, read_state, state_bytes, write_state};
 use super::treasure::{AGENTS_PER_BANK, DeadTreasures, Hoard, TreasureCollection};
 use crate::bytes::known;
+use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Split, StateError, Step, StepError, checked_actions};
 use crate::observation::{AgentSet, EntitySet, Observation, members};
 use crate::random::Random;
-use crate::registry::{Choice, Entry, EnvironmentError};
 use crate::spec::{Rewards, Shape, Spec, View};
 
 /// How far from the middle anything can be put, in half sides of the square that everything starts in.

@@ -20,10 +20,10 @@ use super::simulator::SaveTheCity;
 use super::state::{AgentState, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS, NO_BUILDING};
 use super::{Constants, VERSION};
 use crate::bytes::known;
+use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
 use crate::observation::{AgentSet, EntitySet, Observation, members};
 use crate::random::{Random, below};
-use crate::registry::{Choice, Entry, EnvironmentError};
 use crate::rows::SparseRows;
 use crate::spec::{Shape, Spec};
 

@@ -18,10 +18,10 @@ use super::state::{
     AgentKind, AgentState, BuildingKind, BuildingState, MAX_AGENTS, MAX_BUILDINGS, Status,
 };
 use crate::environment::{Environment, Step, StepError};
-use crate::golden::{Comparison, Field, GoldenError, Record, Recordings, Replay};
+use crate::recorded::{Comparison, Field, GoldenError, Record, Recordings, Replay};
 use frames::Events;
 
-pub use crate::golden::Labels;
+pub use crate::recorded::Labels;
 
 /// The schema that files must name.
 pub const SCHEMA: &str = "sortie-golden/save-the-city/1";
