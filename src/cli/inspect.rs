@@ -9,14 +9,14 @@ use clap::Args;
 use serde::Serialize;
 use sortie_bundle::{ALLOCATOR, AgentGraph, Bundle, MANIFEST, Manifest, TRAINING, hex};
 use sortie_plans::{
-    CompileError, CompileOptions, CompiledPolicy, OnnxFacts, PlanFacts, PolicyFacts, PolicyOptions,
-    inspect_plan, read_onnx,
+    CompileError, CompileOptions, CompiledPolicy, InspectedOnnx, OnnxFacts, PlanFacts, PolicyFacts,
+    PolicyOptions, inspect_plan, read_onnx,
 };
 
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::{ENGINE, PolicyArguments};
-use crate::output::{Common, Table, plural, print_json, say};
+use crate::output::{Common, Table, plural, print_json, say, tell};
 use crate::tools::compiler;
 
 /// The name of the graph by which all agents decide.
@@ -98,15 +98,17 @@ fn inspect_onnx(arguments: &InspectArguments, bytes: &[u8]) -> Outcome {
     let within = |error| Failure::from(error).within(arguments.file.display());
     let options = arguments.policy.options_for(&arguments.file)?;
     let inspected = compiler().inspect(bytes, &options).map_err(within)?;
-    let (facts, policy) = (inspected.facts, inspected.policy.transpose());
+    let InspectedOnnx { facts, policy, remarks } = inspected;
+    let policy = policy.transpose();
     let known = policy.as_ref().ok().and_then(Option::as_ref);
     let plan =
         known.map(|_| compiler().compile_policy(bytes, &options, &CompileOptions::default()));
     if arguments.common.json {
-        print_json(&Report::of(&facts, known, plan.as_ref()));
+        print_json(&Report { remarks: &remarks, ..Report::of(&facts, known, plan.as_ref()) });
     } else {
         print(&facts, known, plan.as_ref());
     }
+    remarks.iter().for_each(|remark| tell!("note: {remark}"));
     policy.map(|_| ()).map_err(within)
 }
 
@@ -237,6 +239,8 @@ struct Report<'a> {
     /// What its plan costs.
     #[serde(skip_serializing_if = "Option::is_none")]
     plan: Option<PlanCost>,
+    #[serde(skip_serializing_if = "<[_]>::is_empty")]
+    remarks: &'a [String],
 }
 
 /// What the plan of a policy costs.
@@ -256,7 +260,8 @@ impl<'a> Report<'a> {
             PlanCost { flash_bytes: report.flash_bytes, arena_bytes: report.arena_bytes }
         };
         let engine = plan.map(|plan| if plan.is_ok() { "plan" } else { ENGINE });
-        Self { facts, policy, engine, plan: plan.and_then(|plan| plan.as_ref().ok().map(cost)) }
+        let plan = plan.and_then(|plan| plan.as_ref().ok().map(cost));
+        Self { facts, policy, engine, plan, remarks: &[] }
     }
 }
 

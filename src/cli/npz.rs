@@ -123,7 +123,7 @@ fn array(file: &[u8]) -> Result<Array, String> {
     let kind = value_of(header, "descr").ok_or_else(broken)?;
     let kind = kind.get(1..).and_then(|kind| kind.split(['\'', '"']).next()).ok_or_else(broken)?;
     let numbers = numbers(kind, data).ok_or_else(|| {
-        format!("has the type `{kind}`: save it as float32, float64, int64, int32, uint8 or bool")
+        format!("has the type `{kind}`: save it as float16, float32, float64, int64, int32, uint8 or bool")
     })?;
     let length = shape.iter().try_fold(1_usize, |length, size| length.checked_mul(*size));
     if length != Some(numbers.len()) {
@@ -150,6 +150,7 @@ fn numbers(kind: &str, data: &[u8]) -> Option<Vec<f32>> {
         data.as_chunks().0.iter().map(|bytes| number(*bytes)).collect()
     }
     Some(match kind {
+        "<f2" => each(data, |bytes| of_half(u16::from_le_bytes(bytes))),
         "<f4" => each(data, f32::from_le_bytes),
         "<f8" => each(data, |bytes| f64::from_le_bytes(bytes) as f32),
         "<i8" => each(data, |bytes| i64::from_le_bytes(bytes) as f32),
@@ -157,6 +158,18 @@ fn numbers(kind: &str, data: &[u8]) -> Option<Vec<f32>> {
         "|u1" | "|b1" => each(data, |[byte]| f32::from(byte)),
         _ => return None,
     })
+}
+
+/// A number of 16 bits: a sign, five bits of exponent, ten of fraction.
+fn of_half(bits: u16) -> f32 {
+    let (exponent, fraction) = (i32::from(bits >> 10 & 31), f32::from(bits & 1023));
+    let size = match exponent {
+        0 => fraction * 2.0_f32.powi(-24),
+        31 if fraction == 0.0 => f32::INFINITY,
+        31 => f32::NAN,
+        _ => (1024.0 + fraction) * 2.0_f32.powi(exponent - 25),
+    };
+    if bits >> 15 == 1 { -size } else { size }
 }
 
 /// What was recorded, in the order in which a policy takes it.

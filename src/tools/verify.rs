@@ -99,6 +99,8 @@ struct Compared {
     name: String,
     inputs: usize,
     max_rel_error: f32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_distance: Option<f64>,
     action_mismatches: usize,
     refused: usize,
     refusals_differ: usize,
@@ -116,11 +118,12 @@ pub(crate) fn run(arguments: &VerifyArguments) -> Outcome {
     } else {
         verdict::print(&report);
     }
+    if report.is_policy {
+        return verdict::judge_policy(&report);
+    }
     match arguments.profile {
-        PlanProfile::Int8 if !report.is_policy => verdict::judge_actions(&report),
-        PlanProfile::Int8 | PlanProfile::Exact | PlanProfile::Fused => {
-            verdict::judge(&report.engines)
-        }
+        PlanProfile::Int8 => verdict::judge_actions(&report),
+        PlanProfile::Exact | PlanProfile::Fused => verdict::judge(&report.engines),
     }
 }
 
@@ -478,6 +481,7 @@ impl Compared {
             name,
             inputs: sum(|family| family.inputs),
             max_rel_error: judged().map(|family| family.max_rel_error).fold(0.0, f32::max),
+            max_distance: judged().filter_map(|family| family.max_distance).reduce(f64::max),
             action_mismatches: sum(|family| family.action_mismatches),
             refused: sum(|family| family.refused),
             refusals_differ: sum(|family| family.refusals_differ),

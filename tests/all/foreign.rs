@@ -161,7 +161,14 @@ fn every_file_gives_its_recorded_answers() {
         assert_ne!(report["not_compared"][0], "onnxruntime", "{NO_ONNXRUNTIME}");
         assert_eq!(names[2], "onnxruntime against recorded");
         let together = |pair| format!("{pair}, 100 steps with the state fed back");
-        let pairs = ["plan against tract", "plan against onnxruntime", "tract against onnxruntime"];
+        let pairs = [
+            "plan against tract",
+            "plan against onnxruntime",
+            "tract against onnxruntime",
+            "plan against double precision",
+            "tract against double precision",
+            "onnxruntime against double precision",
+        ];
         let pairs = if outputs.contains("state") { &pairs[..] } else { &[] };
         assert_eq!(names[3..], pairs.iter().map(together).collect::<Vec<_>>(), "{name}");
     }
@@ -253,7 +260,7 @@ fn other_answers_than_recorded_are_a_difference() {
     let end = bytes.windows(4).position(|four| four == b"PK\x01\x02").expect("a directory");
     let changed = [&bytes[end - 4..end - 2], &[0x80, 0x41]].concat();
     let path = edited(folder.path(), name, &bytes[end - 4..end + 2], &changed);
-    assert_fails(&verify(&onnx(name), &path), 1, &["plan against recorded, q", "1e-5"]);
+    assert_fails(&verify(&onnx(name), &path), 1, &["plan against recorded, q", "limit 16"]);
 
     // A choice that no score explains.
     let name = "sb3_maskable_ppo.classic";

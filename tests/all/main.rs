@@ -10,6 +10,7 @@ mod domains;
 mod endings;
 mod firmware;
 mod foreign;
+mod hard;
 mod imports;
 mod measure;
 mod methods;

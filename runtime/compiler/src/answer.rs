@@ -13,7 +13,7 @@ use tract_onnx::pb;
 use tract_onnx::prelude::*;
 
 use crate::compile::{compile, compile_policy, compile_proposals, compile_rounded};
-use crate::flat::{FlatGraph, declared, described};
+use crate::flat::{FlatGraph, declared, described, remarks};
 use crate::graph::inputs::TeamValueEngine;
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles, guarded, shape};
 use crate::matching::match_agent;
@@ -122,16 +122,21 @@ pub fn inspect(onnx: &[u8], options: &PolicyOptions) -> Result<InspectedOnnx, Co
     let file = guarded(read).map_err(|reason| CompileError::Unreadable { reason })?;
     if *options == PolicyOptions::default() && Graph::read(onnx).is_ok() {
         let values = analysed(&file).map_err(|reason| CompileError::Unreadable { reason })?;
-        return Ok(InspectedOnnx { facts: facts(&file, values), policy: None });
+        return Ok(InspectedOnnx {
+            facts: facts(&file, values),
+            policy: None,
+            remarks: Vec::new(),
+        });
     }
-    let policy = FlatGraph::read(onnx, options).map(|graph| graph.interface.facts);
-    match policy {
+    let graph = FlatGraph::read(onnx, options);
+    let remarks = graph.as_ref().map_or_else(|_| Vec::new(), remarks);
+    match graph.map(|graph| graph.interface.facts) {
         Err(error) if !error.asks() && !matches!(error, CompileError::NoPolicy { .. }) => {
             Err(error)
         }
         policy => {
             let values = described(onnx, options).unwrap_or_else(|_| declared(&file));
-            Ok(InspectedOnnx { facts: facts(&file, values), policy: Some(policy) })
+            Ok(InspectedOnnx { facts: facts(&file, values), policy: Some(policy), remarks })
         }
     }
 }

@@ -11,7 +11,7 @@ use sortie_plans::{
     BatchedUtilities, BatchedValues, Comparison, CompileError, CompileOptions, Compiled,
     CompiledPolicy, Compiler, DrawnProposals, Engines, Family, FlatPolicy, GraphEngine,
     OnnxRuntimeEngine, OnnxRuntimeError, OwnedEntities, OwnedTeamQuery, PolicyOptions,
-    ProposalFiles,
+    ProposalFiles, TrueFlatPolicy,
 };
 
 use crate::answer::answer_compiler;
@@ -25,6 +25,7 @@ use crate::onnxruntime::{
     BatchedAgents, BatchedTeamValues, OnnxRuntime, OnnxRuntimeFlatPolicy, OnnxRuntimePolicy,
     OnnxRuntimeProposals, OnnxRuntimeTeamValue, find_library,
 };
+use crate::reference::TruePolicy;
 use crate::tract::{TractFlatPolicy, TractPolicy, TractTeamValue};
 
 /// tract's version, as the lock file pins it.
@@ -85,6 +86,15 @@ impl Engines for LinkedEngines {
     ) -> Result<&'static dyn OnnxRuntimeEngine, OnnxRuntimeError> {
         let library = OnnxRuntime::load(&find_library(python)?)?;
         Ok(library)
+    }
+
+    fn truth(
+        &self,
+        onnx: &[u8],
+        options: &PolicyOptions,
+    ) -> Result<Box<dyn TrueFlatPolicy>, CompileError> {
+        let FlatGraph { source, interface, .. } = FlatGraph::read(onnx, options)?;
+        Ok(Box::new(TruePolicy::new(&source, interface)?))
     }
 
     fn team_value_columns(&self, onnx: &[u8]) -> Result<(usize, usize), CompileError> {

@@ -13,6 +13,35 @@ use crate::error::CompileError;
 /// Largest error of an f32 plan, see [`Comparison::max_rel_error`].
 pub const TOLERANCE: f32 = 1.0e-5;
 
+/// So many times its scatter a right engine's number may be from the truth: the worst of the right ones measured was six, a
+/// weight matrix in 16 bits moves some number by twenty and more.
+pub const MOST_DISTANCE: f64 = 16.0;
+
+/// So large the root mean square of an output number's distances may be; right engines stay below one.
+pub const MOST_MEAN_DISTANCE: f64 = 3.0;
+
+/// A number of an answer in double precision, and how far from it right engines of 32 bits are found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrueNumber {
+    /// The number.
+    pub value: f64,
+    /// The root mean square of right engines' distances from it.
+    pub scatter: f64,
+}
+
+impl TrueNumber {
+    /// How far an engine's number is from it, in scatters.
+    pub fn distance(self, number: f32) -> f64 {
+        let number = f64::from(number);
+        if number == self.value { 0.0 } else { (number - self.value).abs() / self.scatter }
+    }
+
+    /// Whether 32 bits hold the number, and no right engine may find it to be none.
+    pub fn is_finite(self) -> bool {
+        self.value.abs() <= f64::from(f32::MAX) && self.scatter.is_finite()
+    }
+}
+
 /// How far an engine is from the expected answers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
@@ -25,6 +54,10 @@ pub struct Comparison {
     /// Rounding grows with the largest numbers of a sum, not with its result: a small utility beside
     /// large ones carries their error, in the source graph as well.
     pub max_rel_error: f32,
+    /// Largest distance of a number from the truth, or of two engines' numbers from each other, in what right engines
+    /// are found from the truth there; none where the truth is not known. It judges in the place of the error.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_distance: Option<f64>,
     /// Observations for which another action, or another allocation, was chosen.
     pub action_mismatches: usize,
     /// Inputs without an answer, as it should be: an engine refuses, its numbers are not finite, or no
@@ -48,6 +81,7 @@ impl Comparison {
             name: name.to_owned(),
             inputs: 0,
             max_rel_error: 0.0,
+            max_distance: None,
             action_mismatches: 0,
             refused: 0,
             refusals_differ: 0,
@@ -72,7 +106,17 @@ impl Comparison {
 
     /// Whether nothing counts as a difference, but for other choices: within the tolerance they are near ties.
     pub fn agrees(&self) -> bool {
-        !self.judged || self.max_rel_error <= TOLERANCE && self.refusals_differ == 0
+        let is_near = match self.max_distance {
+            Some(distance) => distance <= MOST_DISTANCE,
+            None => self.max_rel_error <= TOLERANCE,
+        };
+        !self.judged || is_near && self.refusals_differ == 0
+    }
+
+    /// Notes how far an input's numbers are, in scatters. What is no number is further than any.
+    pub fn add_distance(&mut self, distance: f64) {
+        let distance = if distance.is_nan() { f64::INFINITY } else { distance };
+        self.max_distance = Some(self.max_distance.map_or(distance, |most| most.max(distance)));
     }
 
     /// Adds answers of both engines.

@@ -10,7 +10,7 @@ use sortie_core::allocate::proposals::Draw;
 use sortie_core::allocate::{TeamQuery, TeamValueNetwork};
 use sortie_core::{AllocateError, AllocationState, DecideError, Observation, Policy};
 
-use crate::comparison::Comparison;
+use crate::comparison::{Comparison, TrueNumber};
 use crate::error::CompileError;
 use crate::families::Family;
 use crate::observations::{OwnedEntities, OwnedTeamQuery};
@@ -36,6 +36,16 @@ pub trait Engines: Sync {
         &self,
         python: Option<&Path>,
     ) -> Result<&'static dyn OnnxRuntimeEngine, OnnxRuntimeError>;
+
+    /// A policy's file, node by node in double precision.
+    ///
+    /// # Errors
+    /// The file cannot be read, or more must be said about it.
+    fn truth(
+        &self,
+        onnx: &[u8],
+        options: &PolicyOptions,
+    ) -> Result<Box<dyn TrueFlatPolicy>, CompileError>;
 
     /// Columns of the entities and of the relation in a team-value graph.
     ///
@@ -118,6 +128,23 @@ pub trait GraphEngine: Sync {
         onnx: &[u8],
         families: &[Family<OwnedTeamQuery>],
     ) -> Result<Vec<Comparison>, CompileError>;
+}
+
+/// A policy's truth: its file's nodes in double precision, and eight times more with a rounding of 32 bits behind each.
+pub trait TrueFlatPolicy {
+    /// Begins without memory.
+    fn begin(&mut self);
+
+    /// All outputs, states behind the others; of one that chooses, the scores that it chooses from. `states` are all
+    /// recurrent states, where they are known, else those that the call before left behind.
+    ///
+    /// # Errors
+    /// The inputs do not fit, or the file has an operator that the reference evaluator lacks.
+    fn run(
+        &mut self,
+        inputs: &[&[f32]],
+        states: Option<&[f32]>,
+    ) -> Result<Vec<Vec<TrueNumber>>, CompileError>;
 }
 
 /// The peer of benchmarks.

@@ -43,6 +43,8 @@ pub struct InspectedOnnx {
     pub facts: OnnxFacts,
     /// The policy, or what must be said about the file before it is one; none for the networks that plans are made of.
     pub policy: Option<Result<PolicyFacts, CompileError>>,
+    /// What nobody refuses and somebody should know about a policy, in sentences.
+    pub remarks: Vec<String>,
 }
 
 /// What a plan holds.

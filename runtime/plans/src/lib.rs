@@ -30,13 +30,13 @@ pub use agreement::{
 pub use bundle_plans::{BundlePlans, Compiler};
 pub use cache::user_cache;
 pub use comparison::{
-    Comparison, TOLERANCE, cannot_run, compare_with_golden, compare_with_golden_allocations,
-    magnitude,
+    Comparison, MOST_DISTANCE, MOST_MEAN_DISTANCE, TOLERANCE, TrueNumber, cannot_run,
+    compare_with_golden, compare_with_golden_allocations, magnitude,
 };
 pub use dsp::{QuantisedPolicy, for_dsp, quantise_policy};
 pub use engines::{
     BatchedUtilities, BatchedValues, DrawnProposals, Engines, GraphEngine, OnnxRuntimeEngine,
-    OnnxRuntimeError,
+    OnnxRuntimeError, TrueFlatPolicy,
 };
 pub use error::{CompileError, Ending};
 pub use facts::{Annex, InspectedOnnx, OnnxFacts, PlanFacts, inspect_plan};

@@ -28,16 +28,45 @@ const EXTERNAL: u64 = 1;
 /// Reads a file. An ONNX file whose weights lie in another file of its folder comes back with them inside.
 ///
 /// # Errors
-/// If one of the files cannot be read, or if the weights are said to lie outside of the folder, or where the other file
-/// has already ended.
+/// If one of the files cannot be read, or is of another format, or if the weights are said to lie outside of the folder,
+/// or where the other file has already ended.
 pub fn read_onnx(path: &Path) -> io::Result<Vec<u8>> {
     let file = fs::read(path)?;
+    if let Some(what) = other_format(path, &file) {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, what));
+    }
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut beside = Beside { folder, bytes: 0 };
     let whole = rewritten(&file, GRAPH, |graph| {
         rewritten(graph, INITIALIZER, |tensor| beside.complete(tensor))
     })?;
     Ok(whole.unwrap_or(file))
+}
+
+/// What a file is that people take for an ONNX file, and what to do about it.
+fn other_format(path: &Path, file: &[u8]) -> Option<&'static str> {
+    let is_named = |extension: &str| path.extension().is_some_and(|own| own == extension);
+    // A header in JSON behind its length.
+    let is_safetensors = || {
+        let length = u64::from_le_bytes(*file.first_chunk()?);
+        let fits = usize::try_from(length).is_ok_and(|length| length <= file.len());
+        Some(fits && file.get(8) == Some(&b'{'))
+    };
+    Some(match file {
+        _ if file.starts_with(b"version https://git-lfs") => {
+            "it is a pointer of Git LFS, not the file itself: fetch that with `git lfs pull`"
+        }
+        _ if file.starts_with(b"PK\x03\x04") => {
+            "it is a zip archive, as TorchScript and PyTorch's checkpoints are: export the module with `torch.onnx.export`"
+        }
+        _ if is_safetensors() == Some(true) => {
+            "it holds weights of safetensors, and no graph: export the module with `torch.onnx.export`"
+        }
+        _ if is_named("nn") => {
+            "it is a model of Unity's Barracuda: ML-Agents writes an ONNX file beside it"
+        }
+        _ => return None,
+    })
 }
 
 /// The files beside a file.

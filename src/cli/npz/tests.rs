@@ -47,6 +47,9 @@ fn every_type_is_read_with_its_shape() {
     let bytes = |one: &[u8], other: &[u8]| [one, other].concat();
     let (f1, f2) = (1.5_f32.to_le_bytes(), (-2.0_f32).to_le_bytes());
     assert_eq!(only("<f4", "(2,)", &bytes(&f1, &f2)), two(&[2], &[1.5, -2.0]));
+    let halves = [[0x00, 0x3e], [0x00, 0xc0], [0x01, 0x00], [0x00, 0xfc]].concat();
+    let numbers = [1.5, -2.0, 5.960_464_5e-8, f32::NEG_INFINITY];
+    assert_eq!(only("<f2", "(4,)", &halves), two(&[4], &numbers));
     let (d1, d2) = (0.25_f64.to_le_bytes(), 3.0_f64.to_le_bytes());
     assert_eq!(only("<f8", "(1, 2)", &bytes(&d1, &d2)), two(&[1, 2], &[0.25, 3.0]));
     let (i1, i2) = (7_i64.to_le_bytes(), (-1_i64).to_le_bytes());

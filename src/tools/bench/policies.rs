@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use sortie_cli::failure::{Failure, Outcome};
+use sortie_cli::failure::{Exit, Failure, Outcome};
 use sortie_cli::foreign::PolicyArguments;
 use sortie_cli::output::tell;
 use sortie_cli::tools::{OnnxRuntimeArguments, compiler, engines};
@@ -77,8 +77,20 @@ fn measure_one(
     let peer = runtime.map(|runtime| runtime.flat_policy(onnx, options));
     let mut peer = peer.transpose()?;
     let inputs = random_policy_inputs(INPUTS, facts, arguments.measuring.common.seed);
-    let inputs: Vec<Vec<&[f32]>> =
+    let mut inputs: Vec<Vec<&[f32]>> =
         inputs.iter().map(|given| given.iter().map(Vec::as_slice).collect()).collect();
+    inputs.retain(|given| ours.iter_mut().all(|(_, policy)| is_answered(policy, given)));
+    match inputs.len() {
+        0 => {
+            let reason = "no random input has an answer: nothing may be available, or a number is not finite";
+            return Err(Failure::new(Exit::BadData, reason));
+        }
+        INPUTS => {}
+        left => tell!(
+            "note: {} of {INPUTS} random inputs have no answer, and are left out",
+            INPUTS - left
+        ),
+    }
     pin(arguments.measuring.pin)?;
     let seconds = arguments.measuring.seconds / arguments.files.len() as f64;
     for pace in &arguments.pace {
@@ -99,8 +111,15 @@ fn measure_one(
     Ok(())
 }
 
+/// Whether a policy without memory of others has an answer to an input.
+fn is_answered(policy: &mut dyn FlatPolicy, given: &[&[f32]]) -> bool {
+    let mut states = vec![0.0; policy.facts().state_length()];
+    policy.run(given, &mut states).is_ok()
+}
+
+/// A memory can lead to a refusal where none did: that is a call like others.
 fn step(policy: &mut dyn FlatPolicy, inputs: &[Vec<&[f32]>], call: usize) {
-    policy.step(&inputs[call % inputs.len()]).expect("a policy that ran before");
+    let _ = std::hint::black_box(policy.step(&inputs[call % inputs.len()]));
 }
 
 /// The plans of all profiles that the policy has, the exact one first.

@@ -10,8 +10,8 @@ use sortie_cli::tools::{compiler, engines};
 use sortie_core::plan::AlignedBytes;
 use sortie_plans::{
     Comparison, CompileError, CompileOptions, CompiledPolicy, FlatPolicy, OutputRole,
-    PlanFlatPolicy, PolicyAnswer, PolicyFacts, PolicyOptions, PolicyOutput, RecordedCase, choices,
-    random_policy_inputs, read_onnx,
+    PlanFlatPolicy, PolicyAnswer, PolicyFacts, PolicyOptions, PolicyOutput, RecordedCase,
+    TrueFlatPolicy, TrueNumber, choices, random_policy_inputs, read_onnx,
 };
 
 use super::{Compared, Judges, Report, VerifyArguments, within};
@@ -21,6 +21,15 @@ const STEPS: usize = 100;
 
 /// Random inputs after which they begin without memory again.
 const FED_BACK: usize = 16;
+
+/// What the reference evaluator is called in reports.
+pub(super) const DOUBLE: &str = "double precision";
+
+/// Multiply-adds of all inputs together, which the reference evaluator does ten times over in some seconds.
+const MOST_MULTIPLY_ADDS: u64 = 1_000_000_000;
+
+/// Inputs that the truth is found of, however large the network is.
+const LEAST_INPUTS: usize = 32;
 
 /// Compares the engines with recorded answers, recurrent policies also with each other, step by step; where nothing was
 /// recorded, all with each other on random inputs.
@@ -47,45 +56,98 @@ pub(super) fn compare(
         let policy = judge.flat_policy(&onnx, &options).map_err(&failed)?;
         policies.push((judge.name(), policy));
     }
+    let truth = engines()?.truth(&onnx, &options);
+    let mut truth = match truth {
+        Ok(policy) => Some(Truth { policy, affordable: affordable(&facts) }),
+        Err(error) => {
+            tell!("note: double precision is not compared: {error}");
+            None
+        }
+    };
     let compared = match recorded {
         Some(file) => {
             let arrays = npz::read(file)?;
             let cases = Cases::of(&facts, &arrays);
             let broken = |reason| format!("{}: {reason}", file.display());
             let cases = cases.map_err(|reason| Failure::new(Exit::BadData, broken(reason)))?;
-            with_recorded(&mut policies, &cases)
+            with_recorded(&mut policies, &cases, &mut truth)
         }
         None => {
             let inputs =
                 random_policy_inputs(arguments.inputs as usize, &facts, arguments.common.seed);
-            with_each_other(&mut policies, &facts, &inputs)
+            with_each_other(&mut policies, &facts, &inputs, &mut truth)
         }
     };
     let tract = engines()?.tract().name();
     let engine = judges.engines.iter().any(|judge| judge.name() == tract).then_some(ENGINE);
-    let (engines, not_compared) = (compared.map_err(&failed)?, judges.missing());
-    Ok(Report { engines, not_compared, engine, is_policy: true })
+    Ok(Report { engines: compared, not_compared: judges.missing(), engine, is_policy: true })
+}
+
+/// The file in double precision, for as many inputs as a few seconds allow.
+struct Truth {
+    policy: Box<dyn TrueFlatPolicy>,
+    affordable: usize,
+}
+
+/// All outputs of one input, states behind the others; none where they are not known.
+type True = Option<Vec<Vec<TrueNumber>>>;
+
+fn affordable(facts: &PolicyFacts) -> usize {
+    let inputs = MOST_MULTIPLY_ADDS / facts.multiply_adds.unwrap_or(1).max(1);
+    usize::try_from(inputs).unwrap_or(usize::MAX).max(LEAST_INPUTS)
+}
+
+impl Truth {
+    /// The truth of every recorded case.
+    fn of_cases(&mut self, cases: &Cases<'_>) -> Vec<True> {
+        let run = |case| {
+            let RecordedCase { inputs, states } = cases.inputs.case(case);
+            self.policy.run(&inputs, Some(&states.unwrap_or_default())).ok()
+        };
+        (0..cases.inputs.count.min(self.affordable)).map(run).collect()
+    }
+
+    /// The truth of inputs one after the other, as [`steps`] has them.
+    fn of_steps(&mut self, inputs: &[Vec<&[f32]>], episode: usize) -> Vec<True> {
+        let run = |(index, given): (usize, &Vec<&[f32]>)| {
+            if index % episode == 0 {
+                self.policy.begin();
+            }
+            let found = self.policy.run(given, None).ok();
+            let is_finite = |numbers: &Vec<TrueNumber>| numbers.iter().all(|n| n.is_finite());
+            if !found.as_ref().is_some_and(|found| found.iter().all(is_finite)) {
+                self.policy.begin();
+            }
+            found
+        };
+        inputs.iter().take(self.affordable).enumerate().map(run).collect()
+    }
 }
 
 /// All policies before what was recorded.
 fn with_recorded(
     policies: &mut [(&str, Box<dyn FlatPolicy + '_>)],
     cases: &Cases<'_>,
-) -> Result<Vec<Compared>, CompileError> {
+    truth: &mut Option<Truth>,
+) -> Vec<Compared> {
+    let truths = truth.as_mut().map_or_else(Vec::new, |truth| truth.of_cases(cases));
     let inputs: Vec<_> =
         (0..STEPS).map(|step| cases.inputs.case(step % cases.inputs.count).inputs).collect();
     let mut compared = Vec::new();
     let mut fed_back = Vec::new();
     for (engine, policy) in policies {
         let name = format!("{engine} against recorded");
-        compared.push(Compared::new(name, cases.recorded(policy.as_mut())?));
+        compared.push(Compared::new(name, cases.recorded(engine, policy.as_mut(), &truths)));
         if cases.facts.state_length() > 0 {
-            fed_back.push((*engine, steps(policy.as_mut(), &inputs, STEPS)?));
+            fed_back.push((*engine, steps(engine, policy.as_mut(), &inputs, STEPS)));
         }
     }
     let how = format!("{STEPS} steps with the state fed back");
-    compared.extend(pairs(cases.facts, &fed_back, &how));
-    Ok(compared)
+    if !fed_back.is_empty() {
+        let truths = truth.as_mut().map_or_else(Vec::new, |truth| truth.of_steps(&inputs, STEPS));
+        compared.extend(pairs(cases.facts, &fed_back, &truths, &how));
+    }
+    compared
 }
 
 /// All policies before each other.
@@ -93,45 +155,82 @@ fn with_each_other(
     policies: &mut [(&str, Box<dyn FlatPolicy + '_>)],
     facts: &PolicyFacts,
     inputs: &[Vec<Vec<f32>>],
-) -> Result<Vec<Compared>, CompileError> {
+    truth: &mut Option<Truth>,
+) -> Vec<Compared> {
     let inputs: Vec<Vec<&[f32]>> =
         inputs.iter().map(|given| given.iter().map(Vec::as_slice).collect()).collect();
     let mut answered = Vec::new();
     for (engine, policy) in policies {
-        answered.push((*engine, steps(policy.as_mut(), &inputs, FED_BACK)?));
+        answered.push((*engine, steps(engine, policy.as_mut(), &inputs, FED_BACK)));
     }
     let how = match facts.state_length() {
         0 => "random inputs".to_owned(),
         _ => format!("random inputs, the state fed back for {FED_BACK}"),
     };
-    Ok(pairs(facts, &answered, &how))
+    let truths = truth.as_mut().map_or_else(Vec::new, |truth| truth.of_steps(&inputs, FED_BACK));
+    pairs(facts, &answered, &truths, &how)
 }
 
-/// What a policy gives for inputs one after the other; its memory is emptied before every so many.
+/// What a policy gives for inputs one after the other; its memory is emptied before every so many, and behind an input
+/// that has no answer, none at all or one that is no finite number.
 fn steps(
+    engine: &str,
     policy: &mut dyn FlatPolicy,
     inputs: &[Vec<&[f32]>],
     episode: usize,
-) -> Result<Vec<Step>, CompileError> {
+) -> Vec<Option<Step>> {
     let mut states = vec![0.0; policy.facts().state_length()];
+    let mut refusals = Refusals { engine, count: 0 };
     let step = |(index, given): (usize, &Vec<&[f32]>)| {
         if index % episode == 0 {
             states.fill(0.0);
         }
-        let answers = policy.run(given, &mut states)?;
-        Ok(Step { answers, states: states.clone() })
+        let step = policy.run(given, &mut states);
+        let step = step.map(|answers| Step { answers, states: states.clone() });
+        let answered = refusals.noted(index, step).filter(Step::is_finite);
+        if answered.is_none() {
+            states.fill(0.0);
+        }
+        answered
     };
     inputs.iter().enumerate().map(step).collect()
 }
 
-/// Every two that answered, step by step.
-fn pairs(facts: &PolicyFacts, answered: &[(&str, Vec<Step>)], how: &str) -> Vec<Compared> {
+/// How many inputs an engine gave no answer to; of the first it is said which, and why.
+struct Refusals<'a> {
+    engine: &'a str,
+    count: usize,
+}
+
+impl Refusals<'_> {
+    fn noted(&mut self, case: usize, step: Result<Step, CompileError>) -> Option<Step> {
+        if let Err(error) = &step {
+            if self.count == 0 {
+                tell!("note: {} has no answer to case {case}: {error}", self.engine);
+            }
+            self.count += 1;
+        }
+        step.ok()
+    }
+}
+
+/// Every two that answered, step by step, and each beside the truth.
+fn pairs(
+    facts: &PolicyFacts,
+    answered: &[(&str, Vec<Option<Step>>)],
+    truths: &[True],
+    how: &str,
+) -> Vec<Compared> {
     let mut compared = Vec::new();
     for (index, (one, got)) in answered.iter().enumerate() {
         for (other, want) in answered.iter().skip(index + 1) {
             let name = format!("{one} against {other}, {how}");
-            compared.push(Compared::new(name, step_by_step(facts, got, want)));
+            compared.push(Compared::new(name, step_by_step(facts, got, want, truths)));
         }
+    }
+    for (engine, got) in answered.iter().filter(|_| !truths.is_empty()) {
+        let name = format!("{engine} against {DOUBLE}, {how}");
+        compared.push(Compared::new(name, beside_truth(facts, got, truths)));
     }
     compared
 }
@@ -187,28 +286,45 @@ impl<'a> Cases<'a> {
         Ok(Self { facts, inputs, answers })
     }
 
-    /// A comparison for each output.
-    fn recorded(&self, policy: &mut dyn FlatPolicy) -> Result<Vec<Comparison>, CompileError> {
+    /// A comparison for each output. A refusal is right where what was recorded is no finite number.
+    fn recorded(
+        &self,
+        engine: &str,
+        policy: &mut dyn FlatPolicy,
+        truths: &[True],
+    ) -> Vec<Comparison> {
         let mut comparisons: Vec<Comparison> = named(self.facts);
+        let mut refusals = Refusals { engine, count: 0 };
         for case in 0..self.inputs.count {
             let RecordedCase { inputs, states } = self.inputs.case(case);
             let mut states = states.unwrap_or_default();
-            let answers = policy.run(&inputs, &mut states)?;
-            let got = Step { answers, states }.outputs(self.facts);
-            let compared =
-                self.facts.outputs.iter().zip(&mut comparisons).zip(got).zip(&self.answers);
-            for (((output, comparison), got), want) in compared {
-                if let Some(want) = want {
-                    add(comparison, output, &got, self.inputs.numbers(want, case));
+            let answers = policy.run(&inputs, &mut states);
+            let step = answers.map(|answers| Step { answers, states });
+            let got = refusals.noted(case, step).map(|step| step.outputs(self.facts));
+            let wanted = self.answers.iter().map(|want| want.map(|w| self.inputs.numbers(w, case)));
+            let wanted: Vec<Option<&[f32]>> = wanted.collect();
+            let is_finite = |numbers: &[f32]| numbers.iter().all(|number| number.is_finite());
+            let has_answer = wanted.iter().flatten().all(|numbers| is_finite(numbers));
+            for (place, comparison) in comparisons.iter_mut().enumerate() {
+                let Some(Some(want)) = wanted.get(place) else { continue };
+                let truth = known(truths, case, place);
+                match got.as_ref().and_then(|got| got.get(place)) {
+                    Some(got) => add(comparison, &self.facts.outputs[place], got, want, truth),
+                    None => comparison.add_refusal(!has_answer),
                 }
             }
         }
         comparisons.retain(|comparison| comparison.inputs > 0);
-        Ok(comparisons)
+        comparisons
     }
 }
 
 impl Step {
+    fn is_finite(&self) -> bool {
+        let answers = self.answers.iter().flat_map(|answer| &answer.numbers);
+        answers.chain(&self.states).all(|number| number.is_finite())
+    }
+
     /// An answer for each output, states among them.
     fn outputs(&self, facts: &PolicyFacts) -> Vec<PolicyAnswer> {
         let mut states = self.states.as_slice();
@@ -226,22 +342,81 @@ fn named(facts: &PolicyFacts) -> Vec<Comparison> {
     facts.outputs.iter().map(|output| Comparison::new(&output.name)).collect()
 }
 
+/// What is known of an output in a case.
+fn known(truths: &[True], case: usize, output: usize) -> Option<&[TrueNumber]> {
+    truths.get(case)?.as_ref()?.get(output).map(Vec::as_slice)
+}
+
 /// Compares two engines step by step.
-fn step_by_step(facts: &PolicyFacts, got: &[Step], want: &[Step]) -> Vec<Comparison> {
+fn step_by_step(
+    facts: &PolicyFacts,
+    got: &[Option<Step>],
+    want: &[Option<Step>],
+    truths: &[True],
+) -> Vec<Comparison> {
     let mut comparisons = named(facts);
-    for (got, want) in got.iter().zip(want) {
+    for (case, (got, want)) in got.iter().zip(want).enumerate() {
+        let (Some(got), Some(want)) = (got, want) else {
+            let both = got.is_none() && want.is_none();
+            comparisons.iter_mut().for_each(|comparison| comparison.add_refusal(both));
+            continue;
+        };
         let both = got.outputs(facts).into_iter().zip(want.outputs(facts));
-        for ((output, comparison), (got, want)) in
-            facts.outputs.iter().zip(&mut comparisons).zip(both)
-        {
-            add(comparison, output, &got, &want.numbers);
+        for (place, (comparison, (got, want))) in comparisons.iter_mut().zip(both).enumerate() {
+            let truth = known(truths, case, place);
+            add(comparison, &facts.outputs[place], &got, &want.numbers, truth);
         }
     }
     comparisons
 }
 
+/// Compares an engine with the truth, as far as it is known.
+fn beside_truth(facts: &PolicyFacts, got: &[Option<Step>], truths: &[True]) -> Vec<Comparison> {
+    let mut comparisons = named(facts);
+    for (got, truth) in got.iter().zip(truths) {
+        let Some(truth) = truth else { continue };
+        let is_finite = truth.iter().flatten().all(|number| number.is_finite());
+        let got = got.as_ref().map(|step| step.outputs(facts));
+        for (place, comparison) in comparisons.iter_mut().enumerate() {
+            let (output, Some(truth)) = (&facts.outputs[place], truth.get(place)) else { continue };
+            match got.as_ref().and_then(|got| got.get(place)) {
+                // Right engines answer or not, as their rounding falls.
+                _ if !is_finite => comparison.add_refusal(true),
+                None => comparison.add_refusal(false),
+                Some(got) => {
+                    let want = true_answer(output, truth);
+                    // The truth itself scatters not at all: all of the distance is the engine's.
+                    let doubled: Vec<TrueNumber> = truth
+                        .iter()
+                        .map(|number| TrueNumber { scatter: number.scatter / 2.0, ..*number })
+                        .collect();
+                    add(comparison, output, got, &want, Some(&doubled));
+                }
+            }
+        }
+    }
+    comparisons
+}
+
+/// The true numbers of an output, or the places of the largest true scores, where it chooses.
+fn true_answer(output: &PolicyOutput, truth: &[TrueNumber]) -> Vec<f32> {
+    let values: Vec<f32> = truth.iter().map(|number| number.value as f32).collect();
+    match output.role {
+        OutputRole::Discrete(actions) if values.len() != output.length() => {
+            choices(&values, actions).map(|place| place as f32).collect()
+        }
+        _ => values,
+    }
+}
+
 /// Adds what came of an output in one case.
-fn add(comparison: &mut Comparison, output: &PolicyOutput, got: &PolicyAnswer, want: &[f32]) {
+fn add(
+    comparison: &mut Comparison,
+    output: &PolicyOutput,
+    got: &PolicyAnswer,
+    want: &[f32],
+    truth: Option<&[TrueNumber]>,
+) {
     let whole = !output.kind.is_float();
     let (error, same) = match output.role {
         OutputRole::Discrete(actions) if whole => {
@@ -254,13 +429,60 @@ fn add(comparison: &mut Comparison, output: &PolicyOutput, got: &PolicyAnswer, w
         _ if whole && got.numbers != want => (f32::INFINITY, true),
         _ => (largest_error(&got.numbers, want), true),
     };
+    if let Some(truth) = truth {
+        comparison.add_distance(match output.role {
+            OutputRole::Discrete(actions) if truth.len() != want.len() => {
+                choice_distance(actions, &got.numbers, want, truth)
+            }
+            _ => largest_distance(&got.numbers, want, truth),
+        });
+    }
     comparison.add_error(error, same);
+}
+
+/// The largest distance of two engines' numbers, each of which may scatter.
+fn largest_distance(got: &[f32], want: &[f32], truth: &[TrueNumber]) -> f64 {
+    if got.len() != want.len() || truth.len() != want.len() {
+        return f64::INFINITY;
+    }
+    let distance = |((got, want), truth): ((&f32, &f32), &TrueNumber)| {
+        let is_same = got == want || got.is_nan() && want.is_nan();
+        // Where the truth is no number, right engines find one or none.
+        match is_same || !truth.is_finite() {
+            true => 0.0,
+            false => (f64::from(*got) - f64::from(*want)).abs() / (2.0 * truth.scatter),
+        }
+    };
+    let distances = got.iter().zip(want).zip(truth).map(distance);
+    distances.fold(
+        0.0,
+        |most, distance| if distance > most || distance.is_nan() { distance } else { most },
+    )
+}
+
+/// How far the true scores of other choices lie apart, which both may scatter.
+fn choice_distance(actions: usize, got: &[f32], want: &[f32], scores: &[TrueNumber]) -> f64 {
+    let rows = scores.chunks_exact(actions.max(1));
+    if got.len() != want.len() || rows.len() != want.len() {
+        return if got == want { 0.0 } else { f64::INFINITY };
+    }
+    let distance = |(row, (got, want)): (&[TrueNumber], (&f32, &f32))| {
+        let score = |place: f32| row.get(place as usize).copied();
+        match (score(*got), score(*want)) {
+            _ if got == want => 0.0,
+            (Some(got), Some(want)) => {
+                (got.value - want.value).abs() / (got.scatter + want.scatter)
+            }
+            _ => f64::INFINITY,
+        }
+    };
+    rows.zip(got.iter().zip(want)).map(distance).fold(0.0, f64::max)
 }
 
 /// The largest |a - b| / (1 + |b|); infinite where one of them is no number, or they differ in their infinities.
 fn largest_error(got: &[f32], want: &[f32]) -> f32 {
     let error = |(got, want): (&f32, &f32)| match (got - want).abs() / (1.0 + want.abs()) {
-        _ if got == want => 0.0,
+        _ if got == want || got.is_nan() && want.is_nan() => 0.0,
         error if error.is_finite() => error,
         _ => f32::INFINITY,
     };
@@ -297,7 +519,7 @@ mod tests {
         let shape = vec![1, got.numbers.len()];
         let output = PolicyOutput { name: "out".to_owned(), kind, shape, role };
         let mut comparison = Comparison::new("out");
-        add(&mut comparison, &output, &got, want);
+        add(&mut comparison, &output, &got, want, None);
         comparison
     }
 

@@ -1,10 +1,11 @@
 //! What was found, for people, and whether it is good enough.
 
-use sortie_plans::{LEAST_AGREEMENT, RECORDED, TOLERANCE};
-
-use super::{Compared, Report};
 use sortie_cli::failure::{Failure, Outcome};
-use sortie_cli::output::{Table, say};
+use sortie_cli::output::{Table, say, tell};
+use sortie_plans::{LEAST_AGREEMENT, MOST_DISTANCE, RECORDED, TOLERANCE};
+
+use super::recorded::DOUBLE;
+use super::{Compared, Report};
 
 pub(super) fn print(report: &Report) {
     for engine in &report.engines {
@@ -31,19 +32,34 @@ pub(super) fn print(report: &Report) {
 pub(super) fn print_recorded(report: &Report) {
     for engine in &report.engines {
         say!("{}", engine.name);
-        let mut table = Table::new(&["  output", "cases", "error", "other"]);
+        let mut table = Table::new(&[
+            "  output",
+            "cases",
+            "error",
+            "rounding",
+            "other",
+            "refused",
+            "one-sided",
+        ]);
         for output in &engine.families {
             table.row([
                 format!("  {}", output.name),
                 output.inputs.to_string(),
                 format!("{:.1e}", output.max_rel_error),
+                output.max_distance.map_or("-".to_owned(), |distance| format!("{distance:.1}")),
                 output.action_mismatches.to_string(),
+                output.refused.to_string(),
+                output.refusals_differ.to_string(),
             ]);
         }
         table.print();
         say!();
     }
     say!("error: the largest |a - b| / (1 + |b|); other: another action");
+    say!(
+        "rounding: the largest difference in what 32 bits make right engines err there; at most {MOST_DISTANCE}"
+    );
+    say!("refused: no answer, or no finite number, of both; one-sided: of one of them");
     if let Some(engine) = report.engine {
         say!("{engine}");
     }
@@ -85,20 +101,46 @@ pub(super) fn judge_actions(report: &Report) -> Outcome {
     judge(allocators)
 }
 
+/// What the plan gives counts, beside what was recorded and beside the truth; that another engine alone is off is a remark.
+/// Where there is no plan or no truth, all that was compared counts.
+pub(super) fn judge_policy(report: &Report) -> Outcome {
+    let counts = |engine: &&Compared| {
+        let beside = [RECORDED, DOUBLE].map(|what| format!("plan against {what}"));
+        beside.iter().any(|name| engine.name.starts_with(name.as_str()))
+            && engine.families.iter().any(|family| family.max_distance.is_some())
+    };
+    let (of_plan, others): (Vec<_>, Vec<_>) = report.engines.iter().partition(counts);
+    if of_plan.is_empty() {
+        return judge(others);
+    }
+    judge(of_plan)?;
+    for engine in others {
+        if let Err(failure) = judge([engine]) {
+            tell!("note: {}; the plan is right", failure.message);
+        }
+    }
+    Ok(())
+}
+
 /// Another choice within the tolerance is a near tie, but for golden observations, which have none.
 pub(super) fn judge<'a>(engines: impl IntoIterator<Item = &'a Compared>) -> Outcome {
     for engine in engines {
         for family in &engine.families {
             let other_action = family.action_mismatches > 0 && family.name == "golden";
             if !family.agrees() || other_action {
+                let how_far = match family.max_distance {
+                    Some(distance) => format!(
+                        "{distance:.0} times what rounding accounts for (limit {MOST_DISTANCE}), largest error {:.1e}",
+                        family.max_rel_error
+                    ),
+                    None => {
+                        let error = family.max_rel_error;
+                        format!("largest error {error:.1e} (limit {TOLERANCE:.0e})")
+                    }
+                };
                 return Err(Failure::difference(format!(
-                    "{}, {}: largest error {:.1e} (limit {TOLERANCE:.0e}), {} other choices, {} inputs that only \
-                     one answers",
-                    engine.name,
-                    family.name,
-                    family.max_rel_error,
-                    family.action_mismatches,
-                    family.refusals_differ
+                    "{}, {}: {how_far}, {} other choices, {} inputs that only one answers",
+                    engine.name, family.name, family.action_mismatches, family.refusals_differ
                 )));
             }
         }

@@ -4,17 +4,17 @@ use sortie_bundle::sha256;
 use sortie_core::plan::{AlignedBytes, Network, Profile, Program};
 use sortie_plans::{
     Annex, Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, FlatPolicy,
-    PlanFlatPolicy, PolicyAnswer, PolicyOptions, TeamSizes, magnitude, random_policy_inputs,
-    report,
+    PlanFlatPolicy, PolicyAnswer, PolicyOptions, TeamSizes, TrueNumber, magnitude,
+    random_policy_inputs, report,
 };
 
 use crate::flat::FlatGraph;
 use crate::graph::guarded;
 use crate::lower::{AgentSizes, Choice, LoweredPolicy, Origin, assemble, lower_policy};
-use crate::reference::{Distances, True, TruePolicy};
+use crate::reference::{Distances, TruePolicy};
 
 /// Multiply-adds of all inputs of a proof together, which the reference evaluator does ten times over in a second.
-const MOST_MULTIPLY_ADDS: u64 = 100_000_000;
+const MOST_MULTIPLY_ADDS: u64 = 50_000_000;
 
 /// Inputs of a proof however large the network is.
 const LEAST_INPUTS: usize = 32;
@@ -129,7 +129,7 @@ impl Proof {
         // What must not be chosen has the lowest score there is.
         let is_closed = |number: f32| number == f32::MIN;
         let is_sure =
-            |(number, truth): (&f32, &True)| is_closed(*number) || truth.scatter.is_finite();
+            |(number, truth): (&f32, &TrueNumber)| is_closed(*number) || truth.scatter.is_finite();
         if !expected.iter().zip(&truths).all(is_sure) {
             // Right engines answer or not, as their rounding falls.
             self.comparison.add_refusal(true);
@@ -155,7 +155,7 @@ impl Proof {
         // Beside the lowest score all others would be alike.
         let both = answered.iter().zip(&expected).zip(&truths);
         let open = both.filter(|((got, want), _)| !(is_closed(**got) && is_closed(**want)));
-        let (pairs, truths): (Vec<(f32, f32)>, Vec<True>) =
+        let (pairs, truths): (Vec<(f32, f32)>, Vec<TrueNumber>) =
             open.map(|((got, want), truth)| ((*got, *want), *truth)).unzip();
         let (answered, expected): (Vec<f32>, Vec<f32>) = pairs.into_iter().unzip();
         self.distances.add(input, &answered, &truths);

@@ -15,7 +15,7 @@ use tract_onnx::tract_core::ops::scan::Scan;
 use tract_onnx::tract_hir::internal::DimLike;
 
 use super::nodes::ArgMax;
-use super::selection::{NONE, Selection, role};
+use super::selection::{NONE, Selection, role, words};
 use super::values::{EntityRoles, Value, listed, value_type};
 use crate::graph::guarded;
 
@@ -168,8 +168,10 @@ fn available(
             _ => None,
         })
         .collect();
+    // What is asked for by its name may be any that fits.
+    let may_be = |input: &Value| is_mask(input) || asked.is_some() && input.is_float();
     let fits =
-        |input: &&&Value| is_mask(input) && input.last_size().is_some_and(|n| actions.contains(&n));
+        |input: &&&Value| may_be(input) && input.last_size().is_some_and(|n| actions.contains(&n));
     let masks: Vec<&Value> = inputs.iter().filter(fits).copied().collect();
     match (asked, masks.as_slice()) {
         (Some(NONE), _) | (None, []) => Ok(None),
@@ -190,8 +192,11 @@ fn available(
     }
 }
 
+/// Whether its type or, of floats, its name says that it is a mask.
 fn is_mask(value: &Value) -> bool {
+    let is_word = |word: &String| word == "mask" || word.starts_with("avail");
     value.kind.is_some_and(ValueType::is_mask)
+        || value.is_float() && words(&value.name).iter().any(is_word)
 }
 
 /// An axis that may count from the end.

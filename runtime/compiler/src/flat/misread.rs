@@ -1,20 +1,11 @@
-//! What becomes of a file before it is simplified: what it asks for and tract passes over, for such a policy would be
-//! computed, and proved, as another one; sizes that it leaves open; and numbers of 16 bits as those of 32 that they are.
-
-use std::collections::BTreeSet;
+//! What a file asks for and tract passes over: such a policy would be computed as another one.
 
 use sortie_plans::CompileError;
-use tract_onnx::pb::tensor_proto::DataType;
-use tract_onnx::pb::tensor_shape_proto::dimension::Value;
-use tract_onnx::pb::{
-    self, AttributeProto, GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto,
-    type_proto,
-};
+use tract_onnx::pb::{AttributeProto, GraphProto, ModelProto, NodeProto};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_hir::internal::f16;
 
 use super::nodes::cut;
-use super::values::{dims, listed, reader};
+use super::values::reader;
 use crate::graph::guarded;
 
 /// The functions of recurrent units, which are the only ones that are read.
@@ -104,133 +95,4 @@ fn other_functions(functions: &AttributeProto, usual: &[&str]) -> Option<String>
     let names = functions.strings.iter().map(|name| String::from_utf8_lossy(name));
     let is_other = names.clone().zip(usual.iter().cycle()).any(|(name, usual)| name != *usual);
     is_other.then(|| names.collect::<Vec<_>>().join(", "))
-}
-
-/// A size that the file leaves open.
-struct Open {
-    /// Its name in the file; without one the input's with the place behind it.
-    name: String,
-    input: usize,
-    axis: usize,
-}
-
-/// Fixes all sizes of the inputs, and leaves out those that the file stores.
-///
-/// A name that leads the sizes of an input is the batch, and 1 wherever it stands, unless something else is asked for.
-pub(super) fn fix(
-    graph: &mut pb::GraphProto,
-    sizes: &[(String, usize)],
-) -> Result<(), CompileError> {
-    let stored: BTreeSet<&str> = graph.initializer.iter().map(|t| t.name.as_str()).collect();
-    graph.input.retain(|input| !stored.contains(input.name.as_str()));
-    let open = open_sizes(graph)?;
-    if let Some((name, _)) = sizes.iter().find(|(name, _)| !open.iter().any(|o| o.name == *name)) {
-        return Err(CompileError::NotInFile {
-            what: "open size".into(),
-            name: name.clone(),
-            found: listed(open.iter().map(|open| format!("`{}`", open.name))),
-        });
-    }
-    let batch: BTreeSet<&str> =
-        open.iter().filter(|open| open.axis == 0).map(|open| open.name.as_str()).collect();
-    for place in &open {
-        let asked = sizes.iter().find(|(name, _)| *name == place.name).map(|(_, size)| *size);
-        let size = asked.or_else(|| batch.contains(place.name.as_str()).then_some(1));
-        let Some(size) = size else { return Err(left_open(graph, &open, &place.name)) };
-        let dims = graph.input.get_mut(place.input).and_then(dims_mut);
-        if let Some(dim) = dims.and_then(|dims| dims.get_mut(place.axis)) {
-            dim.value = Some(Value::DimValue(i64::try_from(size).unwrap_or(i64::MAX)));
-        }
-    }
-    Ok(())
-}
-
-fn open_sizes(graph: &pb::GraphProto) -> Result<Vec<Open>, CompileError> {
-    let mut open = Vec::new();
-    for (input, value) in graph.input.iter().enumerate() {
-        let Some(dims) = dims(value) else {
-            let reason = format!("its input `{}` has no sizes", value.name);
-            return Err(CompileError::NoPolicy { reason });
-        };
-        for (axis, dim) in dims.iter().enumerate() {
-            let name = match &dim.value {
-                Some(Value::DimValue(1..)) => continue,
-                Some(Value::DimParam(name)) if !name.is_empty() => name.clone(),
-                _ => format!("{}.{axis}", value.name),
-            };
-            open.push(Open { name, input, axis });
-        }
-    }
-    Ok(open)
-}
-
-fn left_open(graph: &pb::GraphProto, open: &[Open], name: &str) -> CompileError {
-    let having = open.iter().filter(|open| open.name == name);
-    let inputs = having.filter_map(|open| graph.input.get(open.input));
-    let values = listed(inputs.map(|input| format!("`{}`", input.name)));
-    CompileError::OpenSize { name: name.to_owned(), values }
-}
-
-fn dims_mut(value: &mut pb::ValueInfoProto) -> Option<&mut Vec<pb::tensor_shape_proto::Dimension>> {
-    let type_proto::Value::TensorType(tensor) = value.r#type.as_mut()?.value.as_mut()?;
-    Some(&mut tensor.shape.as_mut()?.dim)
-}
-
-const FLOAT: i32 = DataType::Float as i32;
-
-/// Attributes that hold a type.
-const TYPES: [&str; 3] = ["to", "dtype", "output_dtype"];
-
-/// Widens all numbers of 16 bits.
-pub(super) fn widen(file: &mut ModelProto) {
-    if let Some(graph) = &mut file.graph {
-        widen_graph(graph);
-    }
-}
-
-fn widen_graph(graph: &mut GraphProto) {
-    graph.initializer.iter_mut().for_each(widen_tensor);
-    let values = graph.input.iter_mut().chain(&mut graph.output).chain(&mut graph.value_info);
-    values.for_each(widen_value);
-    for attribute in graph.node.iter_mut().flat_map(|node| &mut node.attribute) {
-        widen_attribute(attribute);
-    }
-}
-
-fn widen_attribute(attribute: &mut AttributeProto) {
-    if TYPES.contains(&attribute.name.as_str()) && is_half(attribute.i as i32) {
-        attribute.i = i64::from(FLOAT);
-    }
-    attribute.t.iter_mut().for_each(widen_tensor);
-    attribute.g.iter_mut().for_each(widen_graph);
-}
-
-fn widen_value(value: &mut ValueInfoProto) {
-    let kind = value.r#type.as_mut().and_then(|kind| kind.value.as_mut());
-    if let Some(type_proto::Value::TensorType(tensor)) = kind
-        && is_half(tensor.elem_type)
-    {
-        tensor.elem_type = FLOAT;
-    }
-}
-
-fn is_half(kind: i32) -> bool {
-    kind == DataType::Float16 as i32 || kind == DataType::Bfloat16 as i32
-}
-
-fn widen_tensor(tensor: &mut TensorProto) {
-    if !is_half(tensor.data_type) {
-        return;
-    }
-    let is_brain = tensor.data_type == DataType::Bfloat16 as i32;
-    let number = |bits: u16| match is_brain {
-        true => f32::from_bits(u32::from(bits) << 16),
-        false => f16::from_bits(bits).to_f32(),
-    };
-    let raw = tensor.raw_data.chunks_exact(2).map(|two| u16::from_le_bytes([two[0], two[1]]));
-    let listed = tensor.int32_data.iter().map(|bits| *bits as u16);
-    tensor.float_data = raw.chain(listed).map(number).collect();
-    tensor.raw_data.clear();
-    tensor.int32_data.clear();
-    tensor.data_type = FLOAT;
 }

@@ -7,6 +7,8 @@ mod apart;
 mod facts;
 mod misread;
 mod nodes;
+mod prepared;
+mod remarks;
 mod selection;
 #[cfg(test)]
 mod tests;
@@ -23,6 +25,7 @@ use selection::Selection;
 use values::{Value, Values, reader};
 
 pub(crate) use facts::{Interface, other_values};
+pub(crate) use remarks::remarks;
 
 /// A policy, read.
 #[derive(Debug)]
@@ -81,9 +84,10 @@ pub(crate) fn declared(file: &pb::ModelProto) -> Described {
 fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<pb::ModelProto, CompileError> {
     let mut file = guarded(|| reader().proto_model_for_read(&mut &*onnx))
         .map_err(|reason| CompileError::Unreadable { reason })?;
-    misread::widen(&mut file);
+    prepared::place_functions(&mut file);
+    prepared::widen(&mut file);
     let graph = file.graph.get_or_insert_default();
-    misread::fix(graph, &options.sizes)?;
+    prepared::fix(graph, &options.sizes)?;
     if options.outputs.iter().any(|output| output.ends_with(nodes::LIKELIEST)) {
         nodes::take_likeliest(graph);
     }
@@ -93,6 +97,7 @@ fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<pb::ModelProto, Compile
 /// A file as tract reads it, and what goes into and comes out of it.
 fn taken_apart(source: &pb::ModelProto) -> (pb::ModelProto, Values) {
     let mut file = source.clone();
+    prepared::narrow(&mut file);
     apart::take_apart(&mut file);
     let values = Values::of(&file);
     (file, values)

@@ -37,7 +37,8 @@ impl Selection {
                 is_constant: !values.inputs.iter().any(|input| behind.contains(&input.name)),
             }
         };
-        let wanted = wanted(&others, told, &options.outputs)?;
+        let wanted = wanted(&others, told, &options.outputs)
+            .map_err(|error| with_state(error, values, &others, options))?;
         refuse_drawn(&nodes, &wanted, &options.outputs)?;
         let choices = wanted.iter().map(|wanted| nodes.argmax(&wanted.name)).collect();
         let (states, behind) = needed(&nodes, &wanted, pairs);
@@ -67,6 +68,30 @@ impl Selection {
         let names = wanted.chain(states).chain(scores).filter(|name| seen.insert(*name));
         names.cloned().collect()
     }
+}
+
+/// Says at once which output may be wanted and which state comes back, where neither has a name that tells.
+fn with_state(
+    error: CompileError,
+    values: &Values,
+    outputs: &[&Value],
+    options: &PolicyOptions,
+) -> CompileError {
+    let CompileError::Unclear { what, candidates, .. } = &error else { return error };
+    let floats: Vec<&Value> = values.inputs.iter().filter(|input| input.is_float()).collect();
+    let returns = |output: &&&Value| {
+        output.is_float() && floats.iter().any(|input| input.shape == output.shape)
+    };
+    let (back, others): (Vec<&&Value>, Vec<&&Value>) = outputs.iter().partition(returns);
+    let ([back], [other]) = (&back[..], &others[..]) else { return error };
+    let inputs: Vec<&&Value> = floats.iter().filter(|input| input.shape == back.shape).collect();
+    let ([input], 2..) = (&inputs[..], floats.len()) else { return error };
+    if !(options.states.is_empty() && options.outputs.is_empty()) {
+        return error;
+    }
+    let (wanted, input, output) = (&other.name, &input.name, &back.name);
+    let flag = format!("`--output {wanted} --state {input}:{output}` if that is what comes back");
+    CompileError::Unclear { what: what.clone(), candidates: candidates.clone(), flag: flag.into() }
 }
 
 /// Refuses wanted outputs that come out otherwise every time.
@@ -119,8 +144,23 @@ const DIRECTIONS: [&str; 14] = [
 ];
 
 /// Words of recurrent states, [`word`] applied.
-const STATES: [&str; 11] =
-    ["h", "c", "hidden", "cell", "state", "rnn", "gru", "lstm", "memory", "carry", "recurrent"];
+const STATES: [&str; 15] = [
+    "h",
+    "c",
+    "hidden",
+    "cell",
+    "state",
+    "rnn",
+    "gru",
+    "lstm",
+    "memory",
+    "carry",
+    "recurrent",
+    "history",
+    "frames",
+    "stack",
+    "buffer",
+];
 
 /// What says that there is no state.
 pub(super) const NONE: &str = "none";
@@ -191,7 +231,24 @@ fn found(values: &Values) -> Result<Vec<Pair>, CompileError> {
             }
         }
     }
+    pairs.extend(last_of_its_kind(values, &pairs));
     Ok(pairs)
+}
+
+/// The only input named like a state, and the only output, that no others of their names were found for: `hidden_state`
+/// comes back as `h`.
+fn last_of_its_kind(values: &Values, pairs: &[Pair]) -> Option<Pair> {
+    let left = |values: &'_ [Value], is_taken: &dyn Fn(&str) -> bool| -> Vec<Value> {
+        let is_left = |value: &&Value| {
+            value.is_float() && is_like_state(&value.name) && !is_taken(&value.name)
+        };
+        values.iter().filter(is_left).cloned().collect()
+    };
+    let inputs = left(&values.inputs, &|name| pairs.iter().any(|pair| pair.input == name));
+    let outputs = left(&values.outputs, &|name| pairs.iter().any(|pair| pair.output == name));
+    let ([input], [output]) = (&inputs[..], &outputs[..]) else { return None };
+    let is_known = output.shape.is_some() && output.shape == input.shape;
+    is_known.then(|| Pair { input: input.name.clone(), output: output.name.clone() })
 }
 
 /// Refuses an input that only its shape tells to be a state: taken for an observation, it would never change.
@@ -250,7 +307,7 @@ fn word(word: String) -> String {
 }
 
 /// The words of a name in small letters: they end at other characters, before capitals, and between letters and digits.
-fn words(name: &str) -> Vec<String> {
+pub(super) fn words(name: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let mut last = ' ';
     for letter in name.chars() {
@@ -332,7 +389,7 @@ pub(super) fn wanted(
         }
         match found.as_slice() {
             [] => {}
-            [_] => return Ok(taken(&found)),
+            [one] => return Ok(taken(&with_other_head(one, &outputs))),
             several => return Err(unclear(several)),
         }
     }
@@ -343,6 +400,16 @@ pub(super) fn wanted(
         [_] => Ok(taken(&outputs)),
         several => Err(unclear(several)),
     }
+}
+
+/// An output and, where it is named as the discrete actions of several kinds, the continuous ones beside it, or the other
+/// way round: both act.
+fn with_other_head<'v>(one: &'v Value, outputs: &[&'v Value]) -> Vec<&'v Value> {
+    let other = |from: &str, to: &str| one.name.contains(from).then(|| one.name.replace(from, to));
+    let other = other("discrete", "continuous").or_else(|| other("continuous", "discrete"));
+    let is_head =
+        |output: &&&Value| output.name == one.name || Some(&output.name) == other.as_ref();
+    outputs.iter().filter(is_head).copied().collect()
 }
 
 fn named(outputs: &[&Value], asked: &str) -> Result<Wanted, CompileError> {

@@ -4,6 +4,7 @@
 //! and after rewriting by this crate; the reference evaluator reads the nodes as they stand in the file, by the
 //! specification of ONNX's operators. It is made to be read beside that specification, not to be fast.
 
+mod control;
 mod elementwise;
 mod gathers;
 mod moves;
@@ -25,16 +26,12 @@ pub(crate) use noise::Noise;
 pub(crate) use policy::{Distances, TruePolicy};
 pub(crate) use tensor::Tensor;
 use tensor::{Failure, count};
-pub(crate) use truth::{True, truth};
 
 /// Values by name.
 type Values = HashMap<String, Rc<Tensor>>;
 
-/// The versions of the operators that a file uses where it does not say: those that all tests of it were written for.
+/// The version of the operators of a file that does not say which it uses.
 const USUAL_VERSION: i64 = 17;
-
-/// Turns of a loop after which a file is taken for one that never ends.
-const MOST_TURNS: usize = 100_000;
 
 /// A file, ready to be evaluated.
 #[derive(Debug)]
@@ -125,133 +122,6 @@ impl Run<'_> {
         }
         Ok(())
     }
-
-    /// Evaluates a node that holds graphs.
-    fn control(
-        &mut self,
-        node: &NodeProto,
-        values: &Values,
-    ) -> Result<Option<Vec<Tensor>>, String> {
-        let given = |index: usize| node.input.get(index).and_then(|name| values.get(name));
-        let graph = |name: &str| {
-            let attribute = node.attribute.iter().find(|attribute| attribute.name == name);
-            let graph = attribute.and_then(|attribute| attribute.g.as_ref());
-            graph.ok_or_else(|| format!("node `{}` has no graph `{name}`", node.name))
-        };
-        let is_true = |tensor: &Tensor| tensor.single().map(|truth| truth != 0.0);
-        match node.op_type.as_str() {
-            "If" => {
-                let holds = given(0).ok_or_else(|| unknown(node, 0))?;
-                let branch = if is_true(holds)? { "then_branch" } else { "else_branch" };
-                self.inner(graph(branch)?, values, Vec::new()).map(Some)
-            }
-            "Loop" => {
-                let most = given(0).map(|most| most.single()).transpose()?;
-                let most = most.map_or(MOST_TURNS, |most| most.max(0.0) as usize);
-                let mut goes_on = given(1).map_or(Ok(true), |holds| is_true(holds))?;
-                let body = graph("body")?;
-                let carried = (2..node.input.len()).map(|index| {
-                    given(index)
-                        .map(|value| Tensor::clone(value))
-                        .ok_or_else(|| unknown(node, index))
-                });
-                let mut carried: Vec<Tensor> = carried.collect::<Result<_, _>>()?;
-                let mut collected: Vec<Vec<Tensor>> = Vec::new();
-                let mut turn = 0;
-                while goes_on && turn < most {
-                    let mut inputs = vec![
-                        Tensor::whole(Vec::new(), vec![turn as i64]),
-                        Tensor::truth(Vec::new(), vec![true]),
-                    ];
-                    let count = carried.len();
-                    inputs.append(&mut carried);
-                    let mut found = self.inner(body, values, inputs)?.into_iter();
-                    goes_on = found.next().map_or(Ok(false), |holds| is_true(&holds))?;
-                    carried = found.by_ref().take(count).collect();
-                    collected.push(found.collect());
-                    turn += 1;
-                    if turn == MOST_TURNS {
-                        return Err(format!("node `{}` does not end", node.name));
-                    }
-                }
-                let scans = node.output.len().saturating_sub(carried.len());
-                for scan in 0..scans {
-                    let parts = collected.iter().filter_map(|turn| turn.get(scan));
-                    carried.push(moves::stacked(&parts.collect::<Vec<_>>(), 0)?);
-                }
-                Ok(Some(carried))
-            }
-            "Scan" => self.scan(node, graph("body")?, values).map(Some),
-            _ => Ok(None),
-        }
-    }
-
-    /// A graph along one size of some inputs.
-    fn scan(
-        &mut self,
-        node: &NodeProto,
-        body: &GraphProto,
-        values: &Values,
-    ) -> Result<Vec<Tensor>, String> {
-        let call = Call::of(node, self.version, values)?;
-        let scanned = call.int("num_scan_inputs", 1) as usize;
-        let states = node.input.len().saturating_sub(scanned);
-        // Along which axis, and whether backwards, each input is read and each output written.
-        let number = |name: &str, index: usize| {
-            call.ints(name).and_then(|given| given.get(index)).copied().unwrap_or(0)
-        };
-        let input_axis =
-            |index: usize| call.input(states + index)?.axis(number("scan_input_axes", index));
-        let turns = call.input(states)?.shape[input_axis(0)?];
-        let mut carried =
-            (0..states).map(|i| call.input(i).cloned()).collect::<Result<Vec<_>, _>>()?;
-        let mut collected: Vec<Vec<Tensor>> = Vec::new();
-        for turn in 0..turns {
-            let mut inputs = std::mem::take(&mut carried);
-            for index in 0..scanned {
-                let is_backwards = number("scan_input_directions", index) == 1;
-                let at = if is_backwards { turns - 1 - turn } else { turn };
-                inputs.push(moves::row(call.input(states + index)?, input_axis(index)?, at)?);
-            }
-            let mut found = self.inner(body, values, inputs)?.into_iter();
-            carried = found.by_ref().take(states).collect();
-            collected.push(found.collect());
-        }
-        for scan in 0..node.output.len().saturating_sub(states) {
-            let mut parts: Vec<&Tensor> =
-                collected.iter().filter_map(|turn| turn.get(scan)).collect();
-            if number("scan_output_directions", scan) == 1 {
-                parts.reverse();
-            }
-            let rank = parts.first().map_or(0, |part| part.rank()) + 1;
-            let axis = tensor::axis_of(number("scan_output_axes", scan), rank)?;
-            carried.push(moves::stacked(&parts, axis)?);
-        }
-        Ok(carried)
-    }
-
-    /// The outputs of a graph inside a node, which sees what is around it.
-    fn inner(
-        &mut self,
-        graph: &GraphProto,
-        around: &Values,
-        inputs: Vec<Tensor>,
-    ) -> Result<Vec<Tensor>, String> {
-        let mut values = stored(graph, around)?;
-        let names = graph.input.iter().map(|input| input.name.clone());
-        values.extend(names.zip(inputs.into_iter().map(Rc::new)));
-        self.nodes(&graph.node, &mut values)?;
-        let output = |name: &str| values.get(name).map(|value| Tensor::clone(value));
-        let outputs = graph.output.iter().map(|output_info| {
-            let name = &output_info.name;
-            output(name).ok_or_else(|| format!("no node computes `{name}`"))
-        });
-        outputs.collect()
-    }
-}
-
-fn unknown(node: &NodeProto, index: usize) -> String {
-    format!("node `{}` needs an input {index} that nothing computes", node.name)
 }
 
 /// A node with its inputs.

@@ -1,25 +1,25 @@
 //! A policy's answers beside the truth.
 
-use sortie_plans::{CompileError, OutputRole, PolicyAnswer, PolicyInput, ValueType};
+use sortie_plans::{
+    CompileError, InputRole, MOST_DISTANCE, MOST_MEAN_DISTANCE, OutputRole, PolicyAnswer,
+    PolicyInput, TrueFlatPolicy, TrueNumber, ValueType,
+};
 use tract_onnx::pb::ModelProto;
 use tract_onnx::prelude::TractError;
 
-use super::{Reference, Tensor, True, truth};
+use super::truth::{RUNS, Runs, runs, truth};
+use super::{Reference, Tensor};
 use crate::flat::Interface;
 use crate::graph::guarded;
-
-/// So many times its scatter a right engine's number may be from the truth: the worst of the right ones measured was
-/// six, a weight matrix in 16 bits moves some number by twenty and more.
-pub(crate) const MOST_DISTANCE: f64 = 16.0;
-
-/// So large the root mean square of an output number's distances may be; right engines stay below one.
-pub(crate) const MOST_MEAN_DISTANCE: f64 = 3.0;
 
 /// A policy whose truth is known.
 #[derive(Debug)]
 pub(crate) struct TruePolicy {
     reference: Reference,
     interface: Interface,
+    /// What every run remembers.
+    states: Vec<Vec<f64>>,
+    calls: u64,
 }
 
 /// How far a plan's numbers are from the truth.
@@ -45,7 +45,8 @@ impl TruePolicy {
     pub(crate) fn new(file: &ModelProto, interface: Interface) -> Result<Self, CompileError> {
         let read = || Reference::new(file).map_err(TractError::msg);
         let reference = guarded(read).map_err(|reason| CompileError::Run { reason })?;
-        Ok(Self { reference, interface })
+        let states = vec![vec![0.0; interface.facts.state_length()]; RUNS];
+        Ok(Self { reference, interface, states, calls: 0 })
     }
 
     /// All true outputs of the file, scores among them.
@@ -54,12 +55,42 @@ impl TruePolicy {
         inputs: &[&[f32]],
         states: &[f32],
         seed: u64,
-    ) -> Result<Vec<Vec<True>>, CompileError> {
-        let given = self.interface.arranged(inputs, states)?.into_iter();
-        let given: Vec<_> =
-            given.map(|(input, numbers)| (input.name.clone(), tensor(input, numbers))).collect();
+    ) -> Result<Vec<Vec<TrueNumber>>, CompileError> {
+        let states: Vec<f64> = states.iter().copied().map(f64::from).collect();
+        let runs = self.runs(inputs, |_| states.as_slice(), seed)?;
+        truth(&runs).map_err(|reason| CompileError::Run { reason })
+    }
+
+    fn runs<'s>(
+        &self,
+        inputs: &[&[f32]],
+        states: impl Fn(usize) -> &'s [f64],
+        seed: u64,
+    ) -> Result<Runs, CompileError> {
+        let none = vec![0.0; self.interface.facts.state_length()];
+        self.interface.facts.check(inputs, &none)?;
+        let given = |run: usize| {
+            let (mut given, mut remembered) = (inputs.iter(), states(run));
+            let facts = self.interface.facts.inputs.iter();
+            let tensors = facts.map(|input| {
+                let numbers: Vec<f64> = if input.role == InputRole::State {
+                    let (own, rest) = remembered.split_at(input.length().min(remembered.len()));
+                    remembered = rest;
+                    own.to_vec()
+                } else {
+                    given
+                        .next()
+                        .into_iter()
+                        .flat_map(|numbers| numbers.iter())
+                        .map(|x| f64::from(*x))
+                        .collect()
+                };
+                (input.name.clone(), tensor(input, numbers))
+            });
+            tensors.collect()
+        };
         let find = || {
-            let found = truth(&self.reference, &given, &self.interface.outputs, seed);
+            let found = runs(&self.reference, given, &self.interface.outputs, seed);
             found.map_err(TractError::msg)
         };
         guarded(find).map_err(|reason| CompileError::Run { reason })
@@ -68,30 +99,58 @@ impl TruePolicy {
     /// The answers, rounded to 32 bits; the next states are written.
     pub(crate) fn answers(
         &self,
-        outputs: &[Vec<True>],
+        outputs: &[Vec<TrueNumber>],
         states: &mut [f32],
     ) -> Result<Vec<PolicyAnswer>, CompileError> {
         let rounded =
-            |output: &Vec<True>| output.iter().map(|number| number.value as f32).collect();
+            |output: &Vec<TrueNumber>| output.iter().map(|number| number.value as f32).collect();
         let rounded: Vec<Vec<f32>> = outputs.iter().map(rounded).collect();
         self.interface.answers(&rounded, states)
     }
 
     /// The true numbers that a policy's answers, and behind them its next states, are compared with: scores where an
     /// output chooses among them.
-    pub(crate) fn compared(&self, outputs: &[Vec<True>]) -> Vec<True> {
-        let facts = &self.interface.facts.outputs;
-        let wanted = (0..facts.len()).filter(|at| facts[*at].role != OutputRole::State);
-        let states = (0..facts.len()).filter(|at| facts[*at].role == OutputRole::State);
+    pub(crate) fn compared(&self, outputs: &[Vec<TrueNumber>]) -> Vec<TrueNumber> {
+        self.places().filter_map(|at| outputs.get(at)).flatten().copied().collect()
+    }
+
+    /// The places of the facts' outputs, in their order, which has states last; of choices those of their scores.
+    fn places(&self) -> impl Iterator<Item = usize> {
         // Wanted outputs stand before all others, so that their places are those of their scores.
-        let places = wanted.map(|at| self.interface.scores_of(at));
-        places.chain(states).filter_map(|at| outputs.get(at)).flatten().copied().collect()
+        (0..self.interface.facts.outputs.len()).map(|at| self.interface.scores_of(at))
+    }
+}
+
+impl TrueFlatPolicy for TruePolicy {
+    fn begin(&mut self) {
+        self.states.iter_mut().for_each(|states| states.fill(0.0));
+    }
+
+    fn run(
+        &mut self,
+        inputs: &[&[f32]],
+        states: Option<&[f32]>,
+    ) -> Result<Vec<Vec<TrueNumber>>, CompileError> {
+        if let Some(known) = states {
+            let known: Vec<f64> = known.iter().copied().map(f64::from).collect();
+            self.states.iter_mut().for_each(|states| states.clone_from(&known));
+        }
+        self.calls += 1;
+        let runs = self.runs(inputs, |run| self.states[run].as_slice(), self.calls)?;
+        let facts = &self.interface.facts.outputs;
+        let is_state = |at: &usize| facts[*at].role == OutputRole::State;
+        for (states, run) in self.states.iter_mut().zip(&runs) {
+            let next = (0..facts.len()).filter(is_state).filter_map(|at| run.get(at));
+            *states = next.flatten().copied().collect();
+        }
+        let found = truth(&runs).map_err(|reason| CompileError::Run { reason })?;
+        Ok(self.places().filter_map(|at| found.get(at).cloned()).collect())
     }
 }
 
 impl Distances {
     /// Adds a plan's numbers for an input.
-    pub(crate) fn add(&mut self, input: usize, numbers: &[f32], truths: &[True]) {
+    pub(crate) fn add(&mut self, input: usize, numbers: &[f32], truths: &[TrueNumber]) {
         self.squares.resize(truths.len().max(self.squares.len()), (0.0, 0));
         for ((number, truth), (square, count)) in numbers.iter().zip(truths).zip(&mut self.squares)
         {
@@ -141,12 +200,10 @@ impl Distances {
 }
 
 /// What the policy sees of an input, in the type that the file gives it.
-fn tensor(input: &PolicyInput, numbers: &[f32]) -> Tensor {
+fn tensor(input: &PolicyInput, numbers: Vec<f64>) -> Tensor {
     let shape = input.shape.clone();
     match input.kind {
-        ValueType::F32 | ValueType::F64 => {
-            Tensor::real(shape, numbers.iter().map(|x| f64::from(*x)).collect())
-        }
+        ValueType::F32 | ValueType::F64 => Tensor::real(shape, numbers),
         ValueType::I64 | ValueType::I32 | ValueType::U8 => {
             Tensor::whole(shape, numbers.iter().map(|x| *x as i64).collect())
         }

@@ -82,3 +82,24 @@ fn other_files_come_as_they_are() {
     }
     assert!(read_onnx(folder.path()).is_err());
 }
+
+#[test]
+fn files_of_other_formats_are_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let safetensors = [&4_u64.to_le_bytes()[..], b"{  }", &[0; 8]].concat();
+    for (name, bytes, word) in [
+        (
+            "policy.onnx",
+            b"version https://git-lfs.github.com/spec/v1\noid sha256:0".to_vec(),
+            "git lfs pull",
+        ),
+        ("policy.pt", b"PK\x03\x04 an archive".to_vec(), "TorchScript"),
+        ("policy.safetensors", safetensors, "safetensors"),
+        ("policy.nn", vec![16, 0, 0, 0], "Barracuda"),
+    ] {
+        let path = folder.path().join(name);
+        fs::write(&path, bytes).expect("a file");
+        let error = read_onnx(&path).expect_err("is no ONNX file").to_string();
+        assert!(error.contains(word), "{error}");
+    }
+}

@@ -1,7 +1,7 @@
 //! Operators that tract does not read, or plans do not have, as others that compute the same.
 
+mod functions;
 mod quantised;
-mod units;
 
 use tract_onnx::pb::tensor_proto::DataType::{Bool, Float, Int64};
 use tract_onnx::pb::{AttributeProto, ModelProto, NodeProto, TensorProto};
@@ -37,9 +37,11 @@ pub(super) fn take_apart(file: &mut ModelProto) {
 type Writer = fn(&mut Parts<'_>) -> Option<()>;
 
 fn writer(node: &NodeProto) -> Option<Writer> {
+    let is_classical = node.domain == "ai.onnx.ml";
     match node.op_type.as_str() {
         "Attention" if node.domain.is_empty() => Some(attention),
-        "Celu" => Some(units::celu),
+        "BatchNormalization" => Some(functions::batch_norm),
+        "Celu" => Some(functions::celu),
         "ConvTranspose" => Some(quantised::spread),
         "QuantizeLinear"
         | "DequantizeLinear"
@@ -47,9 +49,12 @@ fn writer(node: &NodeProto) -> Option<Writer> {
         | "QLinearMatMul"
         | "MatMulInteger"
         | "ConvInteger" => Some(quantised::write),
-        "LogSoftmax" => Some(units::log_softmax),
-        "ReduceLogSumExp" => Some(units::log_sum_exp),
-        "Selu" => Some(units::selu),
+        "Concat" => Some(functions::joined),
+        "LogSoftmax" => Some(functions::log_softmax),
+        "ReduceLogSumExp" => Some(functions::log_sum_exp),
+        "Normalizer" if is_classical => Some(functions::normalizer),
+        "Scaler" if is_classical => Some(functions::scaler),
+        "Selu" => Some(functions::selu),
         "GRU" | "LSTM" | "RNN" if is_backwards(node) => Some(turned),
         _ => None,
     }
@@ -81,6 +86,14 @@ impl Parts<'_> {
             .iter()
             .find(|tensor| tensor.name == name)
             .or_else(|| graph.node.iter().find(written)?.attribute.first()?.t.as_ref())
+    }
+
+    /// What an Expand repeats to this value.
+    fn expanded(&self, name: &str) -> Option<String> {
+        let graph = self.file.graph.as_ref()?;
+        let makes = |node: &&NodeProto| node.output.first().is_some_and(|output| output == name);
+        let maker = graph.node.iter().find(makes)?;
+        if maker.op_type == "Expand" { maker.input.first().cloned() } else { None }
     }
 
     fn is_wanted(&self, slot: usize) -> bool {
@@ -172,6 +185,11 @@ impl Parts<'_> {
     fn number(&mut self, number: f32) -> String {
         let (data_type, float_data) = (Float as i32, vec![number]);
         self.tensor(TensorProto { data_type, float_data, ..TensorProto::default() })
+    }
+
+    fn floats(&mut self, float_data: Vec<f32>) -> String {
+        let (data_type, dims) = (Float as i32, vec![float_data.len() as i64]);
+        self.tensor(TensorProto { data_type, dims, float_data, ..TensorProto::default() })
     }
 
     fn truths(&mut self, dims: Vec<i64>, truths: impl Iterator<Item = bool>) -> String {

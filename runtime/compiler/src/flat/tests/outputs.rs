@@ -16,7 +16,7 @@ fn chosen(names: &[&str], asked: &[&str]) -> Result<Vec<String>, String> {
     let asked: Vec<String> = asked.iter().map(ToString::to_string).collect();
     let values: Vec<&Value> = values.iter().collect();
     let told = |value: &Value| Told {
-        is_choice: value.name.starts_with('!'),
+        is_choice: value.name.starts_with('!') || value.name == "discrete_action",
         is_drawn: value.name.contains('?'),
         is_constant: value.name.contains('='),
     };
@@ -38,6 +38,8 @@ fn a_choice_comes_before_names_and_names_before_the_only_output() {
     let both = ["!x", "deterministic_continuous_actions", "deterministic_discrete_actions"];
     assert_eq!(chosen(&both, &[]).unwrap(), both[1..]);
     assert_eq!(chosen(&["value", "continuous_actions"], &[]).unwrap(), ["continuous_actions"]);
+    let heads = ["discrete_action", "value", "continuous_action"];
+    assert_eq!(chosen(&heads, &[]).unwrap(), [heads[0], heads[2]]);
 }
 
 #[test]

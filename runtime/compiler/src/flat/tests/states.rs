@@ -20,7 +20,7 @@ fn pairs(inputs: &[&str], outputs: &[&str], asked: &[&str]) -> Result<Vec<String
 
 #[test]
 fn names_that_producers_give_states_are_paired() {
-    let known: [(&[&str], &[&str]); 12] = [
+    let known: [(&[&str], &[&str]); 16] = [
         (&["h_in"], &["h_out"]),
         (&["h_in", "c_in"], &["c_out", "h_out"]),
         (&["state_ins"], &["state_outs"]),
@@ -33,6 +33,10 @@ fn names_that_producers_give_states_are_paired() {
         (&["state_in_0", "state_in_1"], &["state_out_0", "state_out_1"]),
         (&["hiddenIn"], &["hiddenOut"]),
         (&["rnn_states"], &["rnn_state.1"]),
+        (&["hidden_state"], &["h"]),
+        (&["state_in"], &["gru"]),
+        (&["history"], &["new_history"]),
+        (&["obs_history_in"], &["obs_history_out"]),
     ];
     for (inputs, outputs) in known {
         let with_others: Vec<&str> = ["obs"].iter().chain(inputs).copied().collect();
