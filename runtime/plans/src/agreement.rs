@@ -135,6 +135,7 @@ impl From<Agreement> for Comparison {
         Self {
             inputs: agreement.observations,
             max_rel_error: agreement.max_rel_error,
+            max_judged_error: agreement.max_rel_error,
             action_mismatches: agreement.observations - agreement.equal_actions,
             ..Self::new(RECORDED)
         }

@@ -38,8 +38,18 @@ impl TrueNumber {
 
     /// Whether 32 bits hold the number, and no right engine may find it to be none.
     pub fn is_finite(self) -> bool {
-        self.value.abs() <= f64::from(f32::MAX) && self.scatter.is_finite()
+        fits(self.value) && self.scatter.is_finite()
     }
+
+    /// Whether right engines agree that there is a number, or that there is none.
+    pub fn is_sure(self) -> bool {
+        self.scatter.is_finite()
+    }
+}
+
+/// Whether it is a number, and 32 bits hold it.
+pub fn fits(number: f64) -> bool {
+    number.abs() <= f64::from(f32::MAX)
 }
 
 /// How far an engine is from the expected answers.
@@ -55,9 +65,12 @@ pub struct Comparison {
     /// large ones carries their error, in the source graph as well.
     pub max_rel_error: f32,
     /// Largest distance of a number from the truth, or of two engines' numbers from each other, in what right engines
-    /// are found from the truth there; none where the truth is not known. It judges in the place of the error.
+    /// are found from the truth there; none where the truth is not known. It judges its inputs in the place of the error.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_distance: Option<f64>,
+    /// Largest error of the inputs whose truth is not known: what judges them.
+    #[serde(skip)]
+    pub max_judged_error: f32,
     /// Observations for which another action, or another allocation, was chosen.
     pub action_mismatches: usize,
     /// Inputs without an answer, as it should be: an engine refuses, its numbers are not finite, or no
@@ -82,6 +95,7 @@ impl Comparison {
             inputs: 0,
             max_rel_error: 0.0,
             max_distance: None,
+            max_judged_error: 0.0,
             action_mismatches: 0,
             refused: 0,
             refusals_differ: 0,
@@ -106,17 +120,16 @@ impl Comparison {
 
     /// Whether nothing counts as a difference, but for other choices: within the tolerance they are near ties.
     pub fn agrees(&self) -> bool {
-        let is_near = match self.max_distance {
-            Some(distance) => distance <= MOST_DISTANCE,
-            None => self.max_rel_error <= TOLERANCE,
-        };
+        let is_near = self.max_judged_error <= TOLERANCE
+            && self.max_distance.is_none_or(|distance| distance <= MOST_DISTANCE);
         !self.judged || is_near && self.refusals_differ == 0
     }
 
-    /// Notes how far an input's numbers are, in scatters. What is no number is further than any.
-    pub fn add_distance(&mut self, distance: f64) {
+    /// Adds an input by how far its numbers are, in scatters, beside their error. What is no number is further than any.
+    pub fn add_distance(&mut self, distance: f64, error: f32, same_action: bool) {
         let distance = if distance.is_nan() { f64::INFINITY } else { distance };
         self.max_distance = Some(self.max_distance.map_or(distance, |most| most.max(distance)));
+        self.note(error, same_action);
     }
 
     /// Adds answers of both engines.
@@ -140,6 +153,11 @@ impl Comparison {
 
     /// Adds an input with its largest error.
     pub fn add_error(&mut self, error: f32, same_action: bool) {
+        self.max_judged_error = self.max_judged_error.max(error);
+        self.note(error, same_action);
+    }
+
+    fn note(&mut self, error: f32, same_action: bool) {
         if error > self.max_rel_error {
             (self.max_rel_error, self.worst_input) = (error, self.inputs);
         }

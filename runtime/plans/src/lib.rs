@@ -31,7 +31,7 @@ pub use bundle_plans::{BundlePlans, Compiler};
 pub use cache::user_cache;
 pub use comparison::{
     Comparison, MOST_DISTANCE, MOST_MEAN_DISTANCE, TOLERANCE, TrueNumber, cannot_run,
-    compare_with_golden, compare_with_golden_allocations, magnitude,
+    compare_with_golden, compare_with_golden_allocations, fits, magnitude,
 };
 pub use dsp::{QuantisedPolicy, for_dsp, quantise_policy};
 pub use engines::{

@@ -194,6 +194,14 @@ pub trait FlatPolicy {
 }
 
 impl PolicyFacts {
+    /// Of `inputs` as many as take so many multiply-adds together, but some however large the network is: each number of
+    /// a large one is a sum of many that a fault shows in.
+    pub fn affordable(&self, inputs: usize, multiply_adds: u64) -> usize {
+        const LEAST: usize = 32;
+        let affordable = multiply_adds / self.multiply_adds.unwrap_or(1).max(1);
+        inputs.min(usize::try_from(affordable).unwrap_or(inputs).max(LEAST))
+    }
+
     /// The inputs that a caller gives at every decision.
     pub fn given(&self) -> impl Iterator<Item = &PolicyInput> {
         self.inputs.iter().filter(|input| input.role != InputRole::State)

@@ -25,11 +25,8 @@ const FED_BACK: usize = 16;
 /// What the reference evaluator is called in reports.
 pub(super) const DOUBLE: &str = "double precision";
 
-/// Multiply-adds of all inputs together, which the reference evaluator does ten times over in some seconds.
+/// Multiply-adds of all inputs together, which the reference evaluator does nine times over in some seconds.
 const MOST_MULTIPLY_ADDS: u64 = 1_000_000_000;
-
-/// Inputs that the truth is found of, however large the network is.
-const LEAST_INPUTS: usize = 32;
 
 /// Compares the engines with recorded answers, recurrent policies also with each other, step by step; where nothing was
 /// recorded, all with each other on random inputs.
@@ -58,7 +55,9 @@ pub(super) fn compare(
     }
     let truth = engines()?.truth(&onnx, &options);
     let mut truth = match truth {
-        Ok(policy) => Some(Truth { policy, affordable: affordable(&facts) }),
+        Ok(policy) => {
+            Some(Truth { policy, affordable: facts.affordable(usize::MAX, MOST_MULTIPLY_ADDS) })
+        }
         Err(error) => {
             tell!("note: double precision is not compared: {error}");
             None
@@ -91,11 +90,6 @@ struct Truth {
 
 /// All outputs of one input, states behind the others; none where they are not known.
 type True = Option<Vec<Vec<TrueNumber>>>;
-
-fn affordable(facts: &PolicyFacts) -> usize {
-    let inputs = MOST_MULTIPLY_ADDS / facts.multiply_adds.unwrap_or(1).max(1);
-    usize::try_from(inputs).unwrap_or(usize::MAX).max(LEAST_INPUTS)
-}
 
 impl Truth {
     /// The truth of every recorded case.
@@ -180,7 +174,7 @@ fn steps(
     episode: usize,
 ) -> Vec<Option<Step>> {
     let mut states = vec![0.0; policy.facts().state_length()];
-    let mut refusals = Refusals { engine, count: 0 };
+    let mut refusals = Refusals { engine, is_said: false };
     let step = |(index, given): (usize, &Vec<&[f32]>)| {
         if index % episode == 0 {
             states.fill(0.0);
@@ -196,19 +190,17 @@ fn steps(
     inputs.iter().enumerate().map(step).collect()
 }
 
-/// How many inputs an engine gave no answer to; of the first it is said which, and why.
+/// Says which input an engine first gave no answer to, and why; comparisons count them.
 struct Refusals<'a> {
     engine: &'a str,
-    count: usize,
+    is_said: bool,
 }
 
 impl Refusals<'_> {
     fn noted(&mut self, case: usize, step: Result<Step, CompileError>) -> Option<Step> {
-        if let Err(error) = &step {
-            if self.count == 0 {
-                tell!("note: {} has no answer to case {case}: {error}", self.engine);
-            }
-            self.count += 1;
+        if let (Err(error), false) = (&step, self.is_said) {
+            tell!("note: {} has no answer to case {case}: {error}", self.engine);
+            self.is_said = true;
         }
         step.ok()
     }
@@ -294,7 +286,7 @@ impl<'a> Cases<'a> {
         truths: &[True],
     ) -> Vec<Comparison> {
         let mut comparisons: Vec<Comparison> = named(self.facts);
-        let mut refusals = Refusals { engine, count: 0 };
+        let mut refusals = Refusals { engine, is_said: false };
         for case in 0..self.inputs.count {
             let RecordedCase { inputs, states } = self.inputs.case(case);
             let mut states = states.unwrap_or_default();
@@ -375,14 +367,16 @@ fn beside_truth(facts: &PolicyFacts, got: &[Option<Step>], truths: &[True]) -> V
     let mut comparisons = named(facts);
     for (got, truth) in got.iter().zip(truths) {
         let Some(truth) = truth else { continue };
-        let is_finite = truth.iter().flatten().all(|number| number.is_finite());
+        let is_sure = truth.iter().flatten().all(|number| number.is_sure());
+        let has_answer = truth.iter().flatten().all(|number| number.is_finite());
         let got = got.as_ref().map(|step| step.outputs(facts));
         for (place, comparison) in comparisons.iter_mut().enumerate() {
             let (output, Some(truth)) = (&facts.outputs[place], truth.get(place)) else { continue };
             match got.as_ref().and_then(|got| got.get(place)) {
                 // Right engines answer or not, as their rounding falls.
-                _ if !is_finite => comparison.add_refusal(true),
-                None => comparison.add_refusal(false),
+                _ if !is_sure => comparison.add_refusal(true),
+                None => comparison.add_refusal(!has_answer),
+                Some(_) if !has_answer => comparison.add_refusal(false),
                 Some(got) => {
                     let want = true_answer(output, truth);
                     // The truth itself scatters not at all: all of the distance is the engine's.
@@ -429,15 +423,16 @@ fn add(
         _ if whole && got.numbers != want => (f32::INFINITY, true),
         _ => (largest_error(&got.numbers, want), true),
     };
-    if let Some(truth) = truth {
-        comparison.add_distance(match output.role {
-            OutputRole::Discrete(actions) if truth.len() != want.len() => {
-                choice_distance(actions, &got.numbers, want, truth)
-            }
-            _ => largest_distance(&got.numbers, want, truth),
-        });
-    }
-    comparison.add_error(error, same);
+    // Where the truth is no number it says nothing of others.
+    let truth = truth.filter(|truth| truth.iter().all(|number| number.is_finite()));
+    let Some(truth) = truth else { return comparison.add_error(error, same) };
+    let distance = match output.role {
+        OutputRole::Discrete(actions) if truth.len() != want.len() => {
+            choice_distance(actions, &got.numbers, want, truth)
+        }
+        _ => largest_distance(&got.numbers, want, truth),
+    };
+    comparison.add_distance(distance, error, same);
 }
 
 /// The largest distance of two engines' numbers, each of which may scatter.
@@ -445,13 +440,9 @@ fn largest_distance(got: &[f32], want: &[f32], truth: &[TrueNumber]) -> f64 {
     if got.len() != want.len() || truth.len() != want.len() {
         return f64::INFINITY;
     }
-    let distance = |((got, want), truth): ((&f32, &f32), &TrueNumber)| {
-        let is_same = got == want || got.is_nan() && want.is_nan();
-        // Where the truth is no number, right engines find one or none.
-        match is_same || !truth.is_finite() {
-            true => 0.0,
-            false => (f64::from(*got) - f64::from(*want)).abs() / (2.0 * truth.scatter),
-        }
+    let distance = |((got, want), truth): ((&f32, &f32), &TrueNumber)| match got == want {
+        true => 0.0,
+        false => (f64::from(*got) - f64::from(*want)).abs() / (2.0 * truth.scatter),
     };
     let distances = got.iter().zip(want).zip(truth).map(distance);
     distances.fold(
@@ -541,6 +532,29 @@ mod tests {
         let short =
             compared(ValueType::F32, OutputRole::Continuous(1), numbers(&[1.0]), &[1.0, 2.0]);
         assert!(!short.agrees());
+    }
+
+    #[test]
+    fn an_input_whose_truth_is_not_known_is_judged_by_its_error() {
+        let output = PolicyOutput {
+            name: "out".to_owned(),
+            kind: ValueType::F32,
+            shape: vec![1, 1],
+            role: OutputRole::Continuous(1),
+        };
+        let agrees = |cases: &[(f32, Option<f64>)]| {
+            let mut comparison = Comparison::new("out");
+            for (got, scatter) in cases {
+                let truth = scatter.map(|scatter| [TrueNumber { value: 1.0, scatter }]);
+                let truth = truth.as_ref().map(<[_; 1]>::as_slice);
+                add(&mut comparison, &output, &numbers(&[*got]), &[1.0], truth);
+            }
+            comparison.agrees()
+        };
+        let (near, far) = ((1.0001, Some(1.0e-5)), (1.0001, Some(1.0e-6)));
+        assert!(agrees(&[near]) && !agrees(&[far]));
+        assert!(agrees(&[near, (1.000_001, None)]) && !agrees(&[near, (1.0001, None)]));
+        assert!(!agrees(&[(1.0001, Some(f64::NAN))]), "a truth that is none hides no error");
     }
 
     #[test]

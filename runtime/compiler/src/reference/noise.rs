@@ -11,7 +11,7 @@ use super::Call;
 use super::tensor::{Failure, Numbers, Tensor};
 
 /// Half of the distance between 1 and the next number of 32 bits: the largest error of one rounding.
-const ROUNDING: f64 = 1.0 / 16_777_216.0;
+pub(super) const ROUNDING: f64 = 1.0 / 16_777_216.0;
 
 /// Noise for runs of the reference evaluator.
 ///

@@ -1,7 +1,8 @@
 //! The truth about an answer, and how far a right engine may be from it.
 
-use sortie_plans::TrueNumber;
+use sortie_plans::{TrueNumber, fits};
 
+use super::noise::ROUNDING;
 use super::{Noise, Reference, Tensor};
 
 /// Runs with noise by which scatter is known. With fewer it is known too badly: at four right engines reach ten times
@@ -10,9 +11,6 @@ const NOISY_RUNS: usize = 8;
 
 /// All runs: the exact one first.
 pub(crate) const RUNS: usize = 1 + NOISY_RUNS;
-
-/// Half of the distance between 1 and the next number of 32 bits.
-const ROUNDING: f64 = 1.0 / 16_777_216.0;
 
 /// The part of the other numbers' scatter that counts for each: a small number stands in the sums of large ones.
 const SHARED: f64 = 0.3;
@@ -47,7 +45,9 @@ pub(crate) fn truth(runs: &Runs) -> Result<Vec<Vec<TrueNumber>>, String> {
                 return Err("an output's size depends on rounding".to_owned());
             }
             for ((square, exact), found) in squares.iter_mut().zip(exact).zip(found) {
-                let off = if found == exact { 0.0 } else { found - exact };
+                // Where no run has a number, right engines agree that there is none.
+                let is_same = found == exact || !fits(*found) && !fits(*exact);
+                let off = if is_same { 0.0 } else { found - exact };
                 *square += off * off / noisy.len() as f64;
             }
         }
@@ -59,7 +59,7 @@ fn scattered(exact: &[f64], squares: &[f64]) -> Vec<TrueNumber> {
     let finite: Vec<f64> = squares.iter().copied().filter(|square| square.is_finite()).collect();
     let shared = SHARED.powi(2) * finite.iter().sum::<f64>() / finite.len().max(1) as f64;
     let number = |(value, own): (&f64, &f64)| {
-        let last = ROUNDING / 2.0 * value.abs();
+        let last = if fits(*value) { ROUNDING / 2.0 * value.abs() } else { 0.0 };
         // Below the smallest normal number engines may take zero.
         let least = f64::from(f32::MIN_POSITIVE);
         let scatter = (own + shared + last.powi(2) + least.powi(2)).sqrt();
