@@ -460,7 +460,13 @@ fn attention(call: &Call<'_>) -> Found {
             }
         }
     }
-    numbers.chunks_mut(columns.max(1)).for_each(super::reductions::softmax);
+    // A row to which everything is masked attends to nothing.
+    for row in numbers.chunks_mut(columns.max(1)) {
+        match row.iter().all(|score| *score == f64::NEG_INFINITY) {
+            true => row.fill(0.0),
+            false => super::reductions::softmax(row),
+        }
+    }
     let mut found = product(&Tensor::real(scores.shape, numbers), &value)?;
     if is_flat {
         let [batch, heads, rows, columns] = found.shape[..] else {
