@@ -175,9 +175,7 @@ impl From<CompileError> for Failure {
             CompileError::Plan(PlanError::Version { .. }) => Exit::Mismatch,
             CompileError::Size { .. } | CompileError::NoAgent { .. } => Exit::Mismatch,
             error if error.asks() => Exit::Usage,
-            CompileError::Differs { .. }
-            | CompileError::Wrong { .. }
-            | CompileError::AnswersOtherwise { .. } => Exit::Bug,
+            CompileError::Wrong { .. } | CompileError::AnswersOtherwise { .. } => Exit::Bug,
             CompileError::NoCompiler { .. } => Exit::NotRunning,
             CompileError::OtherVersion { .. } => Exit::Mismatch,
             CompileError::NoProcess { .. } => Exit::InputOutput,

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 
 use sortie_bundle::Recording;
 use sortie_plans::{
-    AttentionLayers, CompileError, FlatPolicy, InspectedOnnx, OnnxFacts, PolicyFacts,
+    AttentionLayers, CompileError, FlatPolicy, InspectedOnnx, NetworkInput, OnnxFacts, PolicyFacts,
     PolicyOptions, ProposalFiles, Request, Rows, random_entities, random_observations_of,
     random_team_queries_of, read_request,
 };
@@ -14,10 +14,9 @@ use tract_onnx::prelude::*;
 
 use crate::compile::{compile, compile_policy, compile_proposals, compile_rounded};
 use crate::flat::{FlatGraph, declared, described, remarks};
-use crate::graph::inputs::TeamValueEngine;
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles, guarded, shape};
 use crate::matching::match_agent;
-use crate::tract::{TractEntities, TractFlatPolicy, TractPolicy, TractTeamValue};
+use crate::networks::{GraphFlatPolicy, GraphNetwork, Opens, Tract};
 
 /// Answers one request of a [`sortie_plans::CompilerProcess`], from standard input to standard output.
 ///
@@ -63,33 +62,26 @@ fn rehearse(onnx: &[u8], n_max: usize, features: Option<usize>) -> Result<(), Co
     const RUNS: usize = 4;
     const SEED: u64 = 1;
     let graph = Graph::read(onnx)?;
-    match graph.inputs {
-        Inputs::Agent(roles) => {
-            let features = features.unwrap_or(graph.columns);
-            let mut engine = TractPolicy::from_graph(&graph, features)?;
-            let mut state = vec![0.0; roles.memory.map_or(0, |memory| memory.size)];
-            let mut utilities = vec![0.0; graph.actions];
-            for seen in random_observations_of(RUNS, n_max, features, graph.actions, SEED) {
-                let _ = engine.step(&seen.view(), Rows::All, &mut state, &mut utilities);
-            }
+    let features = features.unwrap_or(graph.columns);
+    let inputs: Vec<NetworkInput> = match graph.inputs {
+        Inputs::Agent(_) => {
+            let seen = random_observations_of(RUNS, n_max, features, graph.actions, SEED);
+            seen.into_iter().map(NetworkInput::from).collect()
         }
         Inputs::TeamValue(TeamRoles { features, relations, .. }) => {
-            let mut engine = TractTeamValue::from_graph(&graph)?;
-            for query in random_team_queries_of(RUNS, n_max, features, relations, SEED) {
-                let state = query.state.view();
-                let _ = engine.run(&query.view(&state), Rows::All);
-            }
-        }
-        // No part runs by itself.
-        Inputs::Proposals(_) => {
-            graph.runnable()?;
+            let queries = random_team_queries_of(RUNS, n_max, features, relations, SEED);
+            queries.into_iter().map(NetworkInput::from).collect()
         }
         Inputs::Entities(EntityRoles { group_count, .. }) => {
-            let mut engine = TractEntities::from_graph(&graph)?;
-            for step in random_entities(RUNS, n_max, graph.columns, group_count, SEED) {
-                let _ = engine.run(&step.view());
-            }
+            let steps = random_entities(RUNS, n_max, graph.columns, group_count, SEED);
+            steps.into_iter().map(NetworkInput::Entities).collect()
         }
+        // No part runs by itself.
+        Inputs::Proposals(_) => return Tract.open(&graph).map(drop),
+    };
+    let mut network = GraphNetwork::of(&graph, &Tract, features)?;
+    for input in &inputs {
+        let _ = network.outputs(input, Rows::All);
     }
     Ok(())
 }
@@ -97,7 +89,7 @@ fn rehearse(onnx: &[u8], n_max: usize, features: Option<usize>) -> Result<(), Co
 /// Runs a policy on zeros, its state fed back.
 fn rehearse_policy(onnx: &[u8], options: &PolicyOptions) -> Result<PolicyFacts, CompileError> {
     const RUNS: usize = 4;
-    let mut policy = TractFlatPolicy::from_graph(FlatGraph::read(onnx, options)?)?;
+    let mut policy = GraphFlatPolicy::open(FlatGraph::read(onnx, options)?, &Tract)?;
     let facts = policy.facts().clone();
     let inputs: Vec<Vec<f32>> = facts.given().map(|input| vec![0.0; input.length()]).collect();
     let inputs: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();

@@ -1,8 +1,9 @@
 //! Compiles ONNX networks to plans, and proves that both compute the same.
 //!
 //! tract parses the file and simplifies the graph; patterns are matched on that graph by structure, never by node
-//! name; what matches is lowered to a plan. The finished plan and the graph then answer the same random
-//! observations, and a plan that differs is refused. The same graph also runs as [`TractPolicy`] or [`TractTeamValue`].
+//! name; what matches is lowered to a plan. The finished plan then answers random observations, and so do the file's
+//! nodes in double precision: a plan that is further from these than rounding accounts for is refused. The same graph
+//! also runs as [`GraphPolicy`] or [`GraphTeamValue`].
 //!
 //! Files of strangers are read by another process, with limits: [`sortie_plans::CompilerProcess`], answered by
 //! [`answer_compiler`].
@@ -10,21 +11,19 @@
 
 mod answer;
 mod compile;
+mod engine;
 mod flat;
 mod graph;
-mod judge;
 mod linked;
 mod lower;
 mod matching;
+mod networks;
 pub mod onnxruntime;
 mod reference;
-mod tract;
 
 pub use answer::{answer_compiler, inspect, inspect_onnx};
 pub use compile::{
-    compare_entities_with_graph, compare_proposals_with_graphs, compare_team_values_with_graph,
-    compare_with_graph, compile, compile_policy, compile_proposals, compile_rounded,
+    compare_with_files, compile, compile_policy, compile_proposals, compile_rounded,
 };
-pub use judge::{Judge, judge_agent, judge_team_values};
 pub use linked::{InProcess, LinkedEngines};
-pub use tract::{TractPolicy, TractTeamValue};
+pub use networks::{GraphPolicy, GraphTeamValue};

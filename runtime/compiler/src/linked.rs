@@ -3,30 +3,30 @@
 use std::io;
 use std::path::Path;
 
-use sortie_bundle::{OwnedAllocationState, OwnedObservation, Recording};
+use sortie_bundle::Recording;
+use sortie_core::allocate::TeamValueNetwork;
 use sortie_core::allocate::proposals::Draw;
-use sortie_core::allocate::{TeamQuery, TeamValueNetwork};
-use sortie_core::{AllocateError, AllocationState, DecideError, Observation, Policy};
+use sortie_core::{AllocateError, AllocationState, Policy};
 use sortie_plans::{
-    BatchedUtilities, BatchedValues, Comparison, CompileError, CompileOptions, Compiled,
-    CompiledPolicy, Compiler, DrawnProposals, Engines, Family, FlatPolicy, GraphEngine,
-    OnnxRuntimeEngine, OnnxRuntimeError, OwnedEntities, OwnedTeamQuery, PolicyOptions,
-    ProposalFiles, TrueFlatPolicy,
+    Answer, BatchedUtilities, BatchedValues, CompileError, CompileOptions, Compiled,
+    CompiledPolicy, Compiler, DrawnProposals, Engines, FlatPolicy, GraphAnswers, GraphEngine,
+    NetworkFiles, NetworkInput, OnnxRuntimeEngine, OnnxRuntimeError, PolicyOptions, ProposalFiles,
+    Rows, TrueAnswers, TrueFlatPolicy,
 };
 
 use crate::answer::answer_compiler;
-use crate::compile::{
-    compare_entities_with_graph, compare_proposals_with_graphs, compile, compile_policy,
-    compile_proposals, compile_rounded,
-};
+use crate::compile::{compile, compile_policy, compile_proposals, compile_rounded};
+use crate::engine::Engine;
 use crate::flat::FlatGraph;
-use crate::judge::{Judge, judge_agent, judge_team_values};
+use crate::graph::Graph;
+use crate::networks::{
+    GraphFlatPolicy, GraphNetwork, GraphPolicy, GraphTeamValue, Graphs, ProposalGraphs, Tract,
+    TrueNetwork,
+};
 use crate::onnxruntime::{
-    BatchedAgents, BatchedTeamValues, OnnxRuntime, OnnxRuntimeFlatPolicy, OnnxRuntimePolicy,
-    OnnxRuntimeProposals, OnnxRuntimeTeamValue, find_library,
+    BatchedAgents, BatchedTeamValues, OnnxRuntime, SessionEngine, find_library,
 };
 use crate::reference::TruePolicy;
-use crate::tract::{TractFlatPolicy, TractPolicy, TractTeamValue};
 
 /// tract's version, as the lock file pins it.
 const TRACT_VERSION: &str = "0.23.9";
@@ -93,123 +93,72 @@ impl Engines for LinkedEngines {
         onnx: &[u8],
         options: &PolicyOptions,
     ) -> Result<Box<dyn TrueFlatPolicy>, CompileError> {
-        let FlatGraph { source, interface, .. } = FlatGraph::read(onnx, options)?;
-        Ok(Box::new(TruePolicy::new(&source, interface)?))
+        Ok(Box::new(TruePolicy::open(FlatGraph::read(onnx, options)?)?))
+    }
+
+    fn true_network(
+        &self,
+        files: &NetworkFiles<'_>,
+        features: usize,
+        seed: u64,
+    ) -> Result<Box<dyn TrueAnswers>, CompileError> {
+        Ok(Box::new(TrueNetwork::new(&Graphs::read(files)?, features, seed)?))
     }
 
     fn team_value_columns(&self, onnx: &[u8]) -> Result<(usize, usize), CompileError> {
-        TractTeamValue::new(onnx).map(|network| network.columns())
-    }
-
-    fn compare_entities(
-        &self,
-        plan: &[u8],
-        onnx: &[u8],
-        steps: &[OwnedEntities],
-    ) -> Result<Comparison, CompileError> {
-        compare_entities_with_graph(plan, onnx, steps)
-    }
-
-    fn compare_proposals(
-        &self,
-        plan: &[u8],
-        files: &ProposalFiles<'_>,
-        states: &[OwnedAllocationState],
-        seed: u64,
-    ) -> Result<Comparison, CompileError> {
-        compare_proposals_with_graphs(plan, files, states, seed)
+        GraphTeamValue::by_tract(onnx).map(|network| network.columns())
     }
 }
 
-struct Tract;
+/// What an engine does with graphs, by the ways that [`crate::networks`] has for all of them.
+macro_rules! runs_graphs {
+    ($engine:ty, $name:literal, $version:expr) => {
+        impl GraphEngine for $engine {
+            fn name(&self) -> &'static str {
+                $name
+            }
 
-impl GraphEngine for Tract {
-    fn name(&self) -> &'static str {
-        Judge::Tract.name()
-    }
+            fn version(&self) -> &str {
+                $version(self)
+            }
 
-    fn version(&self) -> &str {
-        TRACT_VERSION
-    }
+            fn policy(
+                &self,
+                onnx: &[u8],
+                features: usize,
+            ) -> Result<Box<dyn Policy>, CompileError> {
+                Ok(Box::new(GraphPolicy::open(&Graph::read(onnx)?, features, self)?))
+            }
 
-    fn policy(&self, onnx: &[u8], features: usize) -> Result<Box<dyn Policy>, CompileError> {
-        Ok(Box::new(TractPolicy::new(onnx, features)?))
-    }
+            fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork>, CompileError> {
+                Ok(Box::new(GraphTeamValue::open(&Graph::read(onnx)?, self)?))
+            }
 
-    fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork>, CompileError> {
-        Ok(Box::new(TractTeamValue::new(onnx)?))
-    }
+            fn flat_policy(
+                &self,
+                onnx: &[u8],
+                options: &PolicyOptions,
+            ) -> Result<Box<dyn FlatPolicy>, CompileError> {
+                Ok(Box::new(GraphFlatPolicy::open(FlatGraph::read(onnx, options)?, self)?))
+            }
 
-    fn flat_policy(
-        &self,
-        onnx: &[u8],
-        options: &PolicyOptions,
-    ) -> Result<Box<dyn FlatPolicy>, CompileError> {
-        let graph = FlatGraph::read(onnx, options)?;
-        Ok(Box::new(TractFlatPolicy::from_graph(graph)?))
-    }
-
-    fn judge_agent(
-        &self,
-        plan: &[u8],
-        onnx: &[u8],
-        families: &[Family<OwnedObservation>],
-    ) -> Result<Vec<Comparison>, CompileError> {
-        judge_agent(plan, onnx, Judge::Tract, families)
-    }
-
-    fn judge_team_values(
-        &self,
-        plan: &[u8],
-        onnx: &[u8],
-        families: &[Family<OwnedTeamQuery>],
-    ) -> Result<Vec<Comparison>, CompileError> {
-        judge_team_values(plan, onnx, Judge::Tract, families)
-    }
+            fn network(
+                &self,
+                files: &NetworkFiles<'_>,
+                features: usize,
+            ) -> Result<Box<dyn GraphAnswers>, CompileError> {
+                Ok(Box::new(Graphs::read(files)?.open(self, features)?))
+            }
+        }
+    };
 }
 
-impl GraphEngine for OnnxRuntime {
-    fn name(&self) -> &'static str {
-        "onnxruntime"
-    }
+runs_graphs!(Tract, "tract", |_| TRACT_VERSION);
+runs_graphs!(OnnxRuntime, "onnxruntime", OnnxRuntime::version);
 
-    fn version(&self) -> &str {
-        self.version()
-    }
-
-    fn policy(&self, onnx: &[u8], features: usize) -> Result<Box<dyn Policy>, CompileError> {
-        Ok(Box::new(OnnxRuntimePolicy::new(self, onnx, features)?))
-    }
-
-    fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork>, CompileError> {
-        Ok(Box::new(OnnxRuntimeTeamValue::new(self, onnx)?))
-    }
-
-    fn flat_policy(
-        &self,
-        onnx: &[u8],
-        options: &PolicyOptions,
-    ) -> Result<Box<dyn FlatPolicy>, CompileError> {
-        let graph = FlatGraph::read(onnx, options)?;
-        Ok(Box::new(OnnxRuntimeFlatPolicy::from_graph(self, graph)?))
-    }
-
-    fn judge_agent(
-        &self,
-        plan: &[u8],
-        onnx: &[u8],
-        families: &[Family<OwnedObservation>],
-    ) -> Result<Vec<Comparison>, CompileError> {
-        judge_agent(plan, onnx, Judge::OnnxRuntime(self), families)
-    }
-
-    fn judge_team_values(
-        &self,
-        plan: &[u8],
-        onnx: &[u8],
-        families: &[Family<OwnedTeamQuery>],
-    ) -> Result<Vec<Comparison>, CompileError> {
-        judge_team_values(plan, onnx, Judge::OnnxRuntime(self), families)
+impl<E: Engine<Number = f32> + 'static> GraphAnswers for GraphNetwork<E> {
+    fn answer(&mut self, input: &NetworkInput, rows: Rows) -> Result<Answer, CompileError> {
+        Ok(Answer::of_graph(input, self.outputs(input, rows)?))
     }
 }
 
@@ -220,7 +169,7 @@ impl OnnxRuntimeEngine for OnnxRuntime {
         variant: &[u8],
         features: usize,
     ) -> Result<Box<dyn Policy>, CompileError> {
-        Ok(Box::new(OnnxRuntimePolicy::of_variant(self, onnx, variant, features)?))
+        Ok(Box::new(GraphPolicy::of_variant(self, onnx, variant, features)?))
     }
 
     fn batched_agents(
@@ -238,39 +187,21 @@ impl OnnxRuntimeEngine for OnnxRuntime {
     fn proposals(
         &self,
         files: &ProposalFiles<'_>,
-        entities: usize,
     ) -> Result<Box<dyn DrawnProposals>, CompileError> {
-        Ok(Box::new(OnnxRuntimeProposals::new(self, files, entities)?))
+        let Graphs::Proposals(graphs) = Graphs::read(&NetworkFiles::Proposals(*files))? else {
+            return Err(CompileError::OtherNetwork { want: "a proposing allocator's".into() });
+        };
+        Ok(Box::new(ProposalGraphs::new(graphs.each_ref(), self)?))
     }
 }
 
-impl BatchedUtilities for BatchedAgents {
-    fn utilities(
-        &mut self,
-        frame: &[Observation<'_>],
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        self.utilities(frame, utilities)
-    }
-}
-
-impl BatchedValues for BatchedTeamValues {
-    fn values(
-        &mut self,
-        queries: &[TeamQuery<'_>],
-        values: &mut [f32],
-    ) -> Result<(), AllocateError> {
-        self.values(queries, values)
-    }
-}
-
-impl DrawnProposals for OnnxRuntimeProposals {
+impl DrawnProposals for ProposalGraphs<SessionEngine> {
     fn propose(
         &mut self,
         state: &AllocationState<'_>,
         draw: &mut dyn Draw,
         values: &mut [f32],
     ) -> Result<Vec<u8>, AllocateError> {
-        self.propose(state, draw, values)
+        self.draw(state, draw, values)
     }
 }

@@ -5,7 +5,7 @@ use sortie_bundle::Recording;
 use sortie_core::plan::{AlignedBytes, HEADER_BYTES, Header, Plan, Profile, checksums};
 use sortie_core::{PlanPolicy, Policy};
 
-use crate::comparison::{Comparison, cannot_run, magnitude};
+use crate::comparison::{Comparison, cannot_run, relative_error};
 use crate::error::CompileError;
 use crate::report::{Compiled, Report};
 
@@ -121,7 +121,7 @@ pub fn agreement(
         let errors = got.iter().zip(&want).map(|(got, want)| (got - want).abs());
         let error = errors.fold(0.0, f32::max);
         agreement.max_utility_error = agreement.max_utility_error.max(error);
-        agreement.max_rel_error = agreement.max_rel_error.max(error / (1.0 + magnitude(&want)));
+        agreement.max_rel_error = agreement.max_rel_error.max(relative_error(&got, &want));
         let action = plan.decide_with(&observation, &mut empty()).map_err(cannot_run)?.action;
         let wanted = reference.decide_with(&observation, &mut empty()).map_err(cannot_run)?.action;
         agreement.observations += 1;

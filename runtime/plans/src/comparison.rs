@@ -1,16 +1,10 @@
 //! Whether two engines give the same answers.
 
 use serde::Serialize;
-use sortie_bundle::{Golden, GoldenAllocation, GoldenCase, GoldenValue};
-use sortie_core::allocate::{
-    EXACT_AGENTS, LastAllocation, SearchMemory, TaskRelation, TeamValueAllocator, TeamValueNetwork,
-    exact,
-};
-use sortie_core::{AllocateError, AllocationState, Allocator, Policy};
 
 use crate::error::CompileError;
 
-/// Largest error of an f32 plan, see [`Comparison::max_rel_error`].
+/// Largest error of an f32 plan where the truth is not known, see [`Comparison::max_rel_error`].
 pub const TOLERANCE: f32 = 1.0e-5;
 
 /// So many times its scatter a right engine's number may be from the truth: the worst of the right ones measured was six, a
@@ -34,6 +28,17 @@ impl TrueNumber {
     pub fn distance(self, number: f32) -> f64 {
         let number = f64::from(number);
         if number == self.value { 0.0 } else { (number - self.value).abs() / self.scatter }
+    }
+
+    /// How far two engines' numbers are from each other, both of which may scatter.
+    pub fn between(self, one: f32, other: f32) -> f64 {
+        let apart = (f64::from(one) - f64::from(other)).abs();
+        if one == other { 0.0 } else { apart / (2.0 * self.scatter) }
+    }
+
+    /// How far it is from another number, both of which scatter: what another choice is judged by.
+    pub fn apart(self, other: Self) -> f64 {
+        (self.value - other.value).abs() / (self.scatter + other.scatter)
     }
 
     /// Whether 32 bits hold the number, and no right engine may find it to be none.
@@ -132,23 +137,10 @@ impl Comparison {
         self.note(error, same_action);
     }
 
-    /// Adds answers of both engines.
-    pub fn add(&mut self, got: &[f32], want: &[f32], same_action: bool) {
-        self.add_on_scale(magnitude(want), got, want, same_action);
-    }
-
-    /// Adds utilities from which no action was chosen, by both engines or by one.
-    pub fn add_unchosen(&mut self, got: &[f32], want: &[f32], by_both: bool) {
-        self.add(got, want, true);
+    /// Notes that no action was chosen from the numbers that were added last, by both or by one.
+    pub fn add_unchosen(&mut self, by_both: bool) {
         self.refused += usize::from(by_both);
         self.refusals_differ += usize::from(!by_both);
-    }
-
-    /// Adds answers whose largest magnitude is known from more than themselves.
-    pub fn add_on_scale(&mut self, largest: f32, got: &[f32], want: &[f32], same_action: bool) {
-        let distance =
-            got.iter().zip(want).map(|(got, want)| (got - want).abs()).fold(0.0, f32::max);
-        self.add_error(distance / (1.0 + largest), same_action);
     }
 
     /// Adds an input with its largest error.
@@ -166,119 +158,105 @@ impl Comparison {
     }
 }
 
-/// The largest magnitude of some values.
-pub fn magnitude(values: &[f32]) -> f32 {
-    values.iter().fold(0.0, |largest: f32, value| largest.max(value.abs()))
+/// The largest |a - b| / (1 + m), with m the largest |b|; infinite where only one of both is a number.
+///
+/// Rounding grows with the largest numbers of a sum, not with its result.
+pub fn relative_error(got: &[f32], want: &[f32]) -> f32 {
+    let largest = want.iter().fold(0.0, |largest: f32, value| largest.max(value.abs()));
+    let error = |(got, want): (&f32, &f32)| match (got - want).abs() / (1.0 + largest) {
+        _ if got == want => 0.0,
+        error if error.is_nan() => f32::INFINITY,
+        error => error,
+    };
+    let lengths = if got.len() == want.len() { 0.0 } else { f32::INFINITY };
+    got.iter().zip(want).map(error).fold(lengths, f32::max)
 }
 
-/// Compares a policy with recorded answers, which agents with memory gave with an empty one.
-pub fn compare_with_golden<'a>(
-    name: &str,
-    policy: &mut dyn Policy,
-    cases: impl IntoIterator<Item = &'a GoldenCase>,
-) -> Result<Comparison, CompileError> {
-    let mut comparison = Comparison::new(name);
-    let mut got = vec![0.0; policy.actions()];
-    for case in cases {
-        let view = case.observation.view();
-        let mut memory = vec![0.0; policy.hidden()];
-        policy.utilities_with(&view, &mut memory, &mut got).map_err(cannot_run)?;
-        memory.fill(0.0);
-        let action = policy.decide_with(&view, &mut memory).map_err(cannot_run)?.action;
-        comparison.add(&got, &case.utilities, action == case.action);
+/// How far an engine's numbers are from the truth: whether rounding accounts for them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Distances {
+    /// The furthest of all.
+    pub worst: Option<Worst>,
+    /// Sums of squares of every output number, over how many inputs.
+    squares: Vec<(f64, usize)>,
+}
+
+/// The number that is furthest from the truth.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Worst {
+    /// How far, in scatters.
+    pub distance: f64,
+    /// The input.
+    pub input: usize,
+    /// The engine's number.
+    pub number: f32,
+    /// What it should be.
+    pub value: f64,
+}
+
+impl Distances {
+    /// Adds numbers for an input; `place` says which output number each is an instance of.
+    pub fn add(
+        &mut self,
+        input: usize,
+        numbers: &[f32],
+        truths: &[TrueNumber],
+        place: impl Fn(usize) -> usize,
+    ) {
+        for (at, (number, truth)) in numbers.iter().zip(truths).enumerate() {
+            let place = place(at);
+            if self.squares.len() <= place {
+                self.squares.resize(place + 1, (0.0, 0));
+            }
+            if !truth.is_finite() {
+                continue;
+            }
+            let distance = truth.distance(*number);
+            if let Some((square, count)) = self.squares.get_mut(place) {
+                *square += distance * distance;
+                *count += 1;
+            }
+            let is_worse = |worst: &Worst| distance.is_nan() || distance > worst.distance;
+            if self.worst.as_ref().is_none_or(is_worse) {
+                self.worst = Some(Worst { distance, input, number: *number, value: truth.value });
+            }
+        }
     }
-    Ok(comparison)
+
+    /// The largest of all; 0 where there is none.
+    pub fn largest(&self) -> f64 {
+        self.worst.as_ref().map_or(0.0, |worst| worst.distance)
+    }
+
+    /// The largest root mean square of any output number's distances.
+    pub fn mean(&self) -> f64 {
+        let mean = |(square, count): &(f64, usize)| (square / (*count).max(1) as f64).sqrt();
+        self.squares.iter().map(mean).fold(0.0, f64::max)
+    }
+
+    /// Whether a right engine may be so far.
+    pub fn is_right(&self) -> bool {
+        self.largest() <= MOST_DISTANCE && self.mean() <= MOST_MEAN_DISTANCE
+    }
+
+    /// What is wrong with a plan that is too far, on inputs of a seed.
+    pub fn error(&self, seed: u64) -> CompileError {
+        let none = Worst { distance: 0.0, input: 0, number: 0.0, value: 0.0 };
+        let Worst { distance, input, number, value } = self.worst.clone().unwrap_or(none);
+        CompileError::Wrong {
+            number,
+            truth: value,
+            distance,
+            limit: MOST_DISTANCE,
+            mean: self.mean(),
+            mean_limit: MOST_MEAN_DISTANCE,
+            input,
+            seed,
+        }
+    }
 }
 
 /// Why an engine gave no answer.
 pub fn cannot_run(error: impl std::fmt::Display) -> CompileError {
     CompileError::Run { reason: error.to_string() }
-}
-
-/// Compares values with recorded ones, a state being one input.
-///
-/// Another allocation counts where its total differs from that of the recorded one by more than
-/// [`TOLERANCE`] allows, since engines may break near ties differently; and only where all allocations are
-/// searched, since the result of the ascent depends on its start.
-pub fn compare_with_golden_allocations(
-    name: &str,
-    network: &mut dyn TeamValueNetwork,
-    golden: &Golden,
-    team_max: usize,
-) -> Result<Comparison, CompileError> {
-    let mut comparison = Comparison::new(name);
-    for case in &golden.allocations {
-        let state = case.state.view();
-        let mut got = Vec::new();
-        for value in &case.values {
-            got.push(network.value(&case.query(&state, value)).map_err(cannot_run)?);
-        }
-        let want: Vec<f32> = case.values.iter().map(|value| value.value).collect();
-        let same = case.state.agents > EXACT_AGENTS || {
-            let found = allocate(network, case, team_max).map_err(cannot_run)?;
-            let found = total(network, case, &found).map_err(cannot_run)?;
-            let recorded = total(network, case, &case.allocation).map_err(cannot_run)?;
-            (found - recorded).abs() <= f64::from(TOLERANCE) * (1.0 + recorded.abs())
-        };
-        comparison.add(&got, &want, same);
-    }
-    Ok(comparison)
-}
-
-fn allocate(
-    network: &mut dyn TeamValueNetwork,
-    case: &GoldenAllocation,
-    team_max: usize,
-) -> Result<Vec<u8>, AllocateError> {
-    let cells = exact::cells(case.state.agents, case.state.open().count());
-    let (mut values, mut cells) = (vec![0.0; cells], vec![exact::Cell::default(); cells]);
-    let mut relation = vec![0.0; case.state.entities() * case.relations];
-    let memory = SearchMemory { cells: &mut cells, values: &mut values, relation: &mut relation };
-    let mut allocator = TeamValueAllocator {
-        network,
-        relation: Recorded(case),
-        start: LastAllocation,
-        team_max,
-        exact_agents: EXACT_AGENTS,
-        memory,
-    };
-    let mut allocation = vec![0; case.state.agents];
-    allocator.allocate(&case.state.view(), &mut allocation).map(|()| allocation)
-}
-
-/// The sum of all teams' values; infinitely low for an agent at a closed subtask.
-fn total(
-    network: &mut dyn TeamValueNetwork,
-    case: &GoldenAllocation,
-    allocation: &[u8],
-) -> Result<f64, AllocateError> {
-    let state = case.state.view();
-    let mut total = 0.0;
-    for task in case.state.open() {
-        let members = allocation.iter().enumerate();
-        let members = members.filter(|(_, place)| usize::from(**place) == task);
-        let team = members.fold(0, |team, (agent, _)| team | 1_u64 << agent);
-        let query = case.query(&state, &GoldenValue { task, team, value: 0.0 });
-        total += f64::from(network.value(&query)?);
-    }
-    Ok(total)
-}
-
-/// The relation that was recorded with a state.
-struct Recorded<'a>(&'a GoldenAllocation);
-
-impl TaskRelation for Recorded<'_> {
-    fn columns(&self) -> usize {
-        self.0.relations
-    }
-
-    fn observe(&mut self, _: &AllocationState<'_>) -> Result<(), AllocateError> {
-        Ok(())
-    }
-
-    fn write(&mut self, _: &AllocationState<'_>, task: usize, relation: &mut [f32]) {
-        for (to, from) in relation.iter_mut().zip(self.0.relation_to(task)) {
-            *to = *from;
-        }
-    }
 }

@@ -5,15 +5,13 @@
 use std::io;
 use std::path::Path;
 
-use sortie_bundle::OwnedObservation;
 use sortie_core::allocate::proposals::Draw;
 use sortie_core::allocate::{TeamQuery, TeamValueNetwork};
 use sortie_core::{AllocateError, AllocationState, DecideError, Observation, Policy};
 
-use crate::comparison::{Comparison, TrueNumber};
+use crate::comparison::TrueNumber;
 use crate::error::CompileError;
-use crate::families::Family;
-use crate::observations::{OwnedEntities, OwnedTeamQuery};
+use crate::network::{GraphAnswers, NetworkFiles, TrueAnswers};
 use crate::policy::{FlatPolicy, PolicyOptions};
 use crate::report::ProposalFiles;
 
@@ -53,28 +51,17 @@ pub trait Engines: Sync {
     /// The file is none.
     fn team_value_columns(&self, onnx: &[u8]) -> Result<(usize, usize), CompileError>;
 
-    /// Compares the plan of a network over all entities with its graph, run by tract.
+    /// A network's file, node by node in double precision; an agent's rows have so many features before the last
+    /// action's one-hot.
     ///
     /// # Errors
-    /// The plan cannot be loaded, or one of both not be run.
-    fn compare_entities(
+    /// The files cannot be read, have other sizes, or an operator that the reference evaluator lacks.
+    fn true_network(
         &self,
-        plan: &[u8],
-        onnx: &[u8],
-        steps: &[OwnedEntities],
-    ) -> Result<Comparison, CompileError>;
-
-    /// Compares the plan of an allocator that proposes with its graphs, run by tract.
-    ///
-    /// # Errors
-    /// As [`Self::compare_entities`].
-    fn compare_proposals(
-        &self,
-        plan: &[u8],
-        files: &ProposalFiles<'_>,
-        states: &[sortie_bundle::OwnedAllocationState],
+        files: &NetworkFiles<'_>,
+        features: usize,
         seed: u64,
-    ) -> Result<Comparison, CompileError>;
+    ) -> Result<Box<dyn TrueAnswers>, CompileError>;
 }
 
 /// An engine that runs the source graph itself. Files of strangers are for [`crate::CompilerProcess::rehearse`] first.
@@ -107,27 +94,16 @@ pub trait GraphEngine: Sync {
         options: &PolicyOptions,
     ) -> Result<Box<dyn FlatPolicy>, CompileError>;
 
-    /// Compares an agent's plan with its graph, a comparison for each family.
+    /// A network whatever it gives: nothing is refused for its values. An agent's rows have so many features before the
+    /// last action's one-hot.
     ///
     /// # Errors
-    /// The plan cannot be loaded, or the file not be read.
-    fn judge_agent(
+    /// A file cannot be read, or has other sizes.
+    fn network(
         &self,
-        plan: &[u8],
-        onnx: &[u8],
-        families: &[Family<OwnedObservation>],
-    ) -> Result<Vec<Comparison>, CompileError>;
-
-    /// Compares an allocator's plan with its graph, a comparison for each family.
-    ///
-    /// # Errors
-    /// As [`Self::judge_agent`].
-    fn judge_team_values(
-        &self,
-        plan: &[u8],
-        onnx: &[u8],
-        families: &[Family<OwnedTeamQuery>],
-    ) -> Result<Vec<Comparison>, CompileError>;
+        files: &NetworkFiles<'_>,
+        features: usize,
+    ) -> Result<Box<dyn GraphAnswers>, CompileError>;
 }
 
 /// A policy's truth: its file's nodes in double precision, and eight times more with a rounding of 32 bits behind each.
@@ -176,15 +152,12 @@ pub trait OnnxRuntimeEngine: GraphEngine {
     /// The file cannot be read.
     fn batched_team_values(&self, onnx: &[u8]) -> Result<Box<dyn BatchedValues>, CompileError>;
 
-    /// An allocator that proposes, for states of `entities`.
+    /// An allocator that proposes.
     ///
     /// # Errors
     /// A file cannot be read.
-    fn proposals(
-        &self,
-        files: &ProposalFiles<'_>,
-        entities: usize,
-    ) -> Result<Box<dyn DrawnProposals>, CompileError>;
+    fn proposals(&self, files: &ProposalFiles<'_>)
+    -> Result<Box<dyn DrawnProposals>, CompileError>;
 }
 
 /// One call for all agents of a frame.

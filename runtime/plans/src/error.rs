@@ -136,21 +136,6 @@ pub enum CompileError {
         /// The layer.
         layer: Cow<'static, str>,
     },
-    /// The plan and the graph disagree, so the plan was thrown away.
-    #[error(
-        "the plan differs from the graph by {error:.3e} on random input {input} of seed {seed} (limit {limit:.0e}): \
-         please report this file"
-    )]
-    Differs {
-        /// The largest error, |a - b| / (1 + max |b|).
-        error: f32,
-        /// The limit.
-        limit: f32,
-        /// The input with the largest error.
-        input: usize,
-        /// The seed of the inputs.
-        seed: u64,
-    },
     /// The plan is further from the truth than 32 bits account for, so it was thrown away.
     #[error(
         "the plan is wrong on random input {input} of seed {seed}: it gives {number:e} where the file's nodes, in double \

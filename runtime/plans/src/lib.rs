@@ -14,6 +14,9 @@ mod engines;
 mod error;
 mod facts;
 mod families;
+mod golden;
+mod judge;
+mod network;
 mod observations;
 mod onnx_file;
 mod options;
@@ -30,8 +33,8 @@ pub use agreement::{
 pub use bundle_plans::{BundlePlans, Compiler};
 pub use cache::user_cache;
 pub use comparison::{
-    Comparison, MOST_DISTANCE, MOST_MEAN_DISTANCE, TOLERANCE, TrueNumber, cannot_run,
-    compare_with_golden, compare_with_golden_allocations, fits, magnitude,
+    Comparison, Distances, MOST_DISTANCE, MOST_MEAN_DISTANCE, TOLERANCE, TrueNumber, Worst,
+    cannot_run, fits, relative_error,
 };
 pub use dsp::{QuantisedPolicy, for_dsp, quantise_policy};
 pub use engines::{
@@ -41,8 +44,17 @@ pub use engines::{
 pub use error::{CompileError, Ending};
 pub use facts::{Annex, InspectedOnnx, OnnxFacts, PlanFacts, inspect_plan};
 pub use families::{
-    Answers, Family, ObservationSizes, Rows, Standard, TeamQuerySizes, compare_agents,
-    observation_families, team_query_families,
+    Family, ObservationSizes, Rows, Standard, TeamQuerySizes, observation_families,
+    team_query_families,
+};
+pub use golden::{
+    GOLDEN_FAMILY, compare_with_golden, compare_with_golden_allocations, golden_inputs,
+    golden_teams,
+};
+pub use judge::{True, compare, compare_with_truth, needs_truth};
+pub use network::{
+    Answer, GraphAnswers, NetworkFiles, NetworkInput, NetworkSizes, TrueAnswers, output_widths,
+    plan_answers,
 };
 pub use observations::{
     OwnedEntities, OwnedTeamQuery, random_allocation_states, random_entities, random_observations,

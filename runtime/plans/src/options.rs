@@ -8,6 +8,7 @@ use zerocopy::FromBytes;
 
 use crate::comparison::{Comparison, cannot_run};
 use crate::error::CompileError;
+use crate::golden::GOLDEN_FAMILY;
 use crate::policy::FlatPolicy;
 
 /// The plans of controller, meta-controller and affordances as networks, over [`option_arena`].
@@ -126,11 +127,10 @@ impl OptionNetworks for GraphNetworks {
 /// # Errors
 /// The policy cannot decide.
 pub fn compare_with_golden_episodes(
-    name: &str,
     policy: &mut dyn Policy,
     bundle: &Bundle,
 ) -> Result<Comparison, CompileError> {
-    let mut found = Comparison::new(name);
+    let mut found = Comparison::new(GOLDEN_FAMILY);
     let (features, actions) = (bundle.contract().features.into(), policy.actions());
     let available = vec![1; actions];
     for episode in &bundle.golden().episodes {

@@ -226,7 +226,7 @@ impl PolicyFacts {
     ///
     /// # Errors
     /// The message names the input.
-    pub fn check(&self, inputs: &[&[f32]], states: &[f32]) -> Result<(), CompileError> {
+    pub fn check<N>(&self, inputs: &[&[N]], states: &[N]) -> Result<(), CompileError> {
         let misfit = |what: &str, got: usize, want: usize| {
             Err(CompileError::Run { reason: format!("{what}: {got} given, {want} needed") })
         };

@@ -5,10 +5,9 @@ use sortie_core::allocate::PlanTeamValue;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{PlanPolicy, Policy, PolicyByAgent, limits};
 
-use crate::comparison::{
-    Comparison, TOLERANCE, compare_with_golden, compare_with_golden_allocations,
-};
+use crate::comparison::{Comparison, TOLERANCE};
 use crate::error::CompileError;
+use crate::golden::{compare_with_golden, compare_with_golden_allocations};
 use crate::options::{self, compare_with_golden_episodes};
 
 /// Asks the plan of a bundle's graph about all golden observations of agents that decide by it.
@@ -31,8 +30,8 @@ pub(crate) fn prove_agents(
         graph_of.get(case.observation.self_index).is_none_or(|of| *of == graph)
     };
     let cases = bundle.golden().cases.iter().filter(decides);
-    let found = compare_with_golden("plan", policy.as_mut(), cases)?;
-    if is_int8 { Ok(()) } else { judge(&found) }
+    let found = compare_with_golden(policy.as_mut(), cases, &[]);
+    judge(&found, is_int8)
 }
 
 /// Asks the plans of an agent that runs options about all golden observations and episodes.
@@ -43,13 +42,10 @@ pub(crate) fn prove_options(
 ) -> Result<(), CompileError> {
     let mut arenas = plans.arenas(1)?;
     let mut policy = plans.policy(&mut arenas)?;
-    let cases = compare_with_golden("plan", policy.as_mut(), &bundle.golden().cases)?;
-    let episodes = compare_with_golden_episodes("plan", policy.as_mut(), bundle)?;
-    if profile == Profile::Int8 {
-        return Ok(());
-    }
-    judge(&cases)?;
-    judge(&episodes)
+    let cases = compare_with_golden(policy.as_mut(), &bundle.golden().cases, &[]);
+    let episodes = compare_with_golden_episodes(policy.as_mut(), bundle)?;
+    judge(&cases, profile == Profile::Int8)?;
+    judge(&episodes, profile == Profile::Int8)
 }
 
 /// Asks a team-value plan about all golden allocations.
@@ -59,11 +55,13 @@ pub(crate) fn prove_allocator(plan: Plan<'_>, bundle: &Bundle) -> Result<(), Com
     let mut rows = vec![0.0; PlanTeamValue::memory_floats(&plan, limits.n_max.into())];
     let mut network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows)?;
     let (golden, team_max) = (bundle.golden(), limits.team_max.into());
-    judge(&compare_with_golden_allocations("plan", &mut network, golden, team_max)?)
+    judge(&compare_with_golden_allocations(&mut network, golden, team_max, &[])?, false)
 }
 
-fn judge(found: &Comparison) -> Result<(), CompileError> {
-    if found.agrees() && found.action_mismatches == 0 {
+/// Plans of few bits have to answer.
+fn judge(found: &Comparison, is_int8: bool) -> Result<(), CompileError> {
+    let answers = found.refusals_differ == 0;
+    if answers && (is_int8 || found.agrees() && found.action_mismatches == 0) {
         return Ok(());
     }
     Err(CompileError::Unproved {

@@ -6,6 +6,7 @@ use sortie_core::choose::masked_argmax;
 use sortie_core::internal::ops::Meaning;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 
+use crate::comparison::cannot_run;
 use crate::error::CompileError;
 use crate::policy::{FlatPolicy, InputRole, OutputRole, PolicyFacts, PolicyInput};
 
@@ -51,6 +52,21 @@ impl TeamPolicy {
 }
 
 impl TeamSizes {
+    /// What a policy's inputs are for what an agent sees.
+    ///
+    /// # Errors
+    /// See [`Self::meanings`]; the observation is of other sizes.
+    pub fn shown(
+        &self,
+        facts: &PolicyFacts,
+        seen: &Observation<'_>,
+    ) -> Result<Vec<Vec<f32>>, CompileError> {
+        let lengths = facts.given().map(PolicyInput::length);
+        let inputs = self.meanings(facts)?.into_iter().zip(lengths);
+        let shown = |(meaning, length)| self.observed(meaning, seen, length).map_err(cannot_run);
+        inputs.map(shown).collect()
+    }
+
     /// The numbers of an input for what an agent sees.
     fn observed(
         &self,

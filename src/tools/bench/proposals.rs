@@ -55,7 +55,7 @@ pub(super) fn measure(arguments: &ProposalsArguments) -> Result<Figures, Failure
         }
     }
     let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
-    let peer = runtime.map(|runtime| runtime.proposals(&files, ENTITIES));
+    let peer = runtime.map(|runtime| runtime.proposals(&files));
     let mut peer = peer.transpose()?;
     let rows: Vec<Vec<f32>> = (0..STATES).map(|_| features(&mut random)).collect();
     let seed = arguments.measuring.common.seed;

@@ -14,6 +14,7 @@ use sortie_plans::{
     TrueFlatPolicy, TrueNumber, choices, random_policy_inputs, read_onnx,
 };
 
+use super::networks::known;
 use super::{Compared, Judges, Report, VerifyArguments, within};
 
 /// Steps that recurrent policies take with their states fed back.
@@ -43,43 +44,85 @@ pub(super) fn compare(
     let facts = compiler().rehearse_policy(&onnx, &options).map_err(&failed)?;
     let seeded = (&options, arguments.common.seed);
     let compiled = compiled_policy(&onnx, seeded, arguments.common.quiet).map_err(&failed)?;
-    let plan = compiled.as_ref().map(|compiled| AlignedBytes::copy_of(&compiled.compiled.bytes));
-    let mut policies: Vec<(&str, Box<dyn FlatPolicy + '_>)> = Vec::new();
-    if let Some(plan) = &plan {
-        let plan = PlanFlatPolicy::load(plan.as_slice(), facts.clone()).map_err(&failed)?;
-        policies.push(("plan", Box::new(plan)));
-    }
-    for judge in &judges.engines {
-        let policy = judge.flat_policy(&onnx, &options).map_err(&failed)?;
-        policies.push((judge.name(), policy));
-    }
-    let truth = engines()?.truth(&onnx, &options);
-    let mut truth = match truth {
-        Ok(policy) => {
-            Some(Truth { policy, affordable: facts.affordable(usize::MAX, MOST_MULTIPLY_ADDS) })
-        }
-        Err(error) => {
-            tell!("note: double precision is not compared: {error}");
-            None
-        }
-    };
+    let plan = compiled.as_ref().map(|compiled| compiled.compiled.bytes.as_slice());
+    let peers = (arguments, judges);
+    let engines = Engines { onnx: &onnx, options: &options, facts: &facts };
     let compared = match recorded {
         Some(file) => {
             let arrays = npz::read(file)?;
             let cases = Cases::of(&facts, &arrays);
             let broken = |reason| format!("{}: {reason}", file.display());
             let cases = cases.map_err(|reason| Failure::new(Exit::BadData, broken(reason)))?;
-            with_recorded(&mut policies, &cases, &mut truth)
+            engines.compared(peers, plan, |policies, truth| with_recorded(policies, &cases, truth))
         }
-        None => {
-            let inputs =
-                random_policy_inputs(arguments.inputs as usize, &facts, arguments.common.seed);
-            with_each_other(&mut policies, &facts, &inputs, &mut truth)
-        }
+        None => engines.on_random_inputs(peers, plan),
     };
-    let tract = engines()?.tract().name();
+    let tract = sortie_cli::tools::engines()?.tract().name();
     let engine = judges.engines.iter().any(|judge| judge.name() == tract).then_some(ENGINE);
-    Ok(Report { engines: compared, not_compared: judges.missing(), engine, is_policy: true })
+    let engines = compared?;
+    Ok(Report { engines, not_compared: judges.missing(), engine, is_policy: true })
+}
+
+/// A policy's plan beside the engines on random inputs.
+pub(super) fn judged_plan(
+    (arguments, judges): (&VerifyArguments, &Judges),
+    onnx: &[u8],
+    options: &PolicyOptions,
+    plan: &[u8],
+) -> Result<Vec<Compared>, Failure> {
+    let facts = compiler().rehearse_policy(onnx, options).map_err(within(&arguments.subject))?;
+    let engines = Engines { onnx, options, facts: &facts };
+    engines.on_random_inputs((arguments, judges), Some(plan))
+}
+
+/// A policy that several engines run.
+struct Engines<'a> {
+    onnx: &'a [u8],
+    options: &'a PolicyOptions,
+    facts: &'a PolicyFacts,
+}
+
+/// Policies by the names of their engines.
+type Policies<'p> = Vec<(&'static str, Box<dyn FlatPolicy + 'p>)>;
+
+impl Engines<'_> {
+    fn on_random_inputs(
+        &self,
+        peers: (&VerifyArguments, &Judges),
+        plan: Option<&[u8]>,
+    ) -> Result<Vec<Compared>, Failure> {
+        let (arguments, _) = peers;
+        let (count, seed) = (arguments.inputs as usize, arguments.common.seed);
+        let inputs = random_policy_inputs(count, self.facts, seed);
+        self.compared(peers, plan, |policies, truth| {
+            with_each_other(policies, self.facts, &inputs, truth)
+        })
+    }
+
+    /// What a comparison finds between plan, engines and truth.
+    fn compared(
+        &self,
+        (arguments, judges): (&VerifyArguments, &Judges),
+        plan: Option<&[u8]>,
+        compare: impl FnOnce(&mut Policies<'_>, &mut Option<Truth>) -> Vec<Compared>,
+    ) -> Result<Vec<Compared>, Failure> {
+        let Self { onnx, options, facts } = *self;
+        let failed = within(&arguments.subject);
+        let plan = plan.map(AlignedBytes::copy_of);
+        let mut policies: Policies<'_> = Vec::new();
+        if let Some(plan) = &plan {
+            let plan = PlanFlatPolicy::load(plan.as_slice(), facts.clone()).map_err(&failed)?;
+            policies.push(("plan", Box::new(plan)));
+        }
+        for judge in &judges.engines {
+            let policy = judge.flat_policy(onnx, options).map_err(&failed)?;
+            policies.push((judge.name(), policy));
+        }
+        let affordable = facts.affordable(usize::MAX, MOST_MULTIPLY_ADDS);
+        let truth = known(engines()?.truth(onnx, options));
+        let mut truth = truth.map(|policy| Truth { policy, affordable });
+        Ok(compare(&mut policies, &mut truth))
+    }
 }
 
 /// The file in double precision, for as many inputs as a few seconds allow.
@@ -120,7 +163,7 @@ impl Truth {
 
 /// All policies before what was recorded.
 fn with_recorded(
-    policies: &mut [(&str, Box<dyn FlatPolicy + '_>)],
+    policies: &mut Policies<'_>,
     cases: &Cases<'_>,
     truth: &mut Option<Truth>,
 ) -> Vec<Compared> {
@@ -146,7 +189,7 @@ fn with_recorded(
 
 /// All policies before each other.
 fn with_each_other(
-    policies: &mut [(&str, Box<dyn FlatPolicy + '_>)],
+    policies: &mut Policies<'_>,
     facts: &PolicyFacts,
     inputs: &[Vec<Vec<f32>>],
     truth: &mut Option<Truth>,
@@ -299,7 +342,7 @@ impl<'a> Cases<'a> {
             let has_answer = wanted.iter().flatten().all(|numbers| is_finite(numbers));
             for (place, comparison) in comparisons.iter_mut().enumerate() {
                 let Some(Some(want)) = wanted.get(place) else { continue };
-                let truth = known(truths, case, place);
+                let truth = truth_of(truths, case, place);
                 match got.as_ref().and_then(|got| got.get(place)) {
                     Some(got) => add(comparison, &self.facts.outputs[place], got, want, truth),
                     None => comparison.add_refusal(!has_answer),
@@ -335,7 +378,7 @@ fn named(facts: &PolicyFacts) -> Vec<Comparison> {
 }
 
 /// What is known of an output in a case.
-fn known(truths: &[True], case: usize, output: usize) -> Option<&[TrueNumber]> {
+fn truth_of(truths: &[True], case: usize, output: usize) -> Option<&[TrueNumber]> {
     truths.get(case)?.as_ref()?.get(output).map(Vec::as_slice)
 }
 
@@ -355,7 +398,7 @@ fn step_by_step(
         };
         let both = got.outputs(facts).into_iter().zip(want.outputs(facts));
         for (place, (comparison, (got, want))) in comparisons.iter_mut().zip(both).enumerate() {
-            let truth = known(truths, case, place);
+            let truth = truth_of(truths, case, place);
             add(comparison, &facts.outputs[place], &got, &want.numbers, truth);
         }
     }
@@ -440,11 +483,8 @@ fn largest_distance(got: &[f32], want: &[f32], truth: &[TrueNumber]) -> f64 {
     if got.len() != want.len() || truth.len() != want.len() {
         return f64::INFINITY;
     }
-    let distance = |((got, want), truth): ((&f32, &f32), &TrueNumber)| match got == want {
-        true => 0.0,
-        false => (f64::from(*got) - f64::from(*want)).abs() / (2.0 * truth.scatter),
-    };
-    let distances = got.iter().zip(want).zip(truth).map(distance);
+    let numbers = got.iter().zip(want).zip(truth);
+    let distances = numbers.map(|((got, want), truth)| truth.between(*got, *want));
     distances.fold(
         0.0,
         |most, distance| if distance > most || distance.is_nan() { distance } else { most },
@@ -461,9 +501,7 @@ fn choice_distance(actions: usize, got: &[f32], want: &[f32], scores: &[TrueNumb
         let score = |place: f32| row.get(place as usize).copied();
         match (score(*got), score(*want)) {
             _ if got == want => 0.0,
-            (Some(got), Some(want)) => {
-                (got.value - want.value).abs() / (got.scatter + want.scatter)
-            }
+            (Some(got), Some(want)) => got.apart(want),
             _ => f64::INFINITY,
         }
     };

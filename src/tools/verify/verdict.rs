@@ -2,21 +2,32 @@
 
 use sortie_cli::failure::{Failure, Outcome};
 use sortie_cli::output::{Table, say, tell};
-use sortie_plans::{LEAST_AGREEMENT, MOST_DISTANCE, RECORDED, TOLERANCE};
+use sortie_plans::{GOLDEN_FAMILY, LEAST_AGREEMENT, MOST_DISTANCE, RECORDED, TOLERANCE};
 
 use super::recorded::DOUBLE;
 use super::{Compared, Report};
 
 pub(super) fn print(report: &Report) {
+    let first = if report.is_policy { "  output" } else { "  family" };
     for engine in &report.engines {
         say!("{}", engine.name);
-        let mut table = Table::new(&HEADER);
+        let mut table = Table::new(&[
+            first,
+            "inputs",
+            "error",
+            "rounding",
+            "other",
+            "refused",
+            "one-sided",
+            "swallowed",
+        ]);
         for family in &engine.families {
             let note = if family.judged { "" } else { "*" };
             table.row([
                 format!("  {}{note}", family.name),
                 family.inputs.to_string(),
                 format!("{:.1e}", family.max_rel_error),
+                family.max_distance.map_or("-".to_owned(), |distance| format!("{distance:.1}")),
                 family.action_mismatches.to_string(),
                 family.refused.to_string(),
                 family.refusals_differ.to_string(),
@@ -27,46 +38,13 @@ pub(super) fn print(report: &Report) {
         say!();
     }
     say!("{NOTE}");
-}
-
-pub(super) fn print_recorded(report: &Report) {
-    for engine in &report.engines {
-        say!("{}", engine.name);
-        let mut table = Table::new(&[
-            "  output",
-            "cases",
-            "error",
-            "rounding",
-            "other",
-            "refused",
-            "one-sided",
-        ]);
-        for output in &engine.families {
-            table.row([
-                format!("  {}", output.name),
-                output.inputs.to_string(),
-                format!("{:.1e}", output.max_rel_error),
-                output.max_distance.map_or("-".to_owned(), |distance| format!("{distance:.1}")),
-                output.action_mismatches.to_string(),
-                output.refused.to_string(),
-                output.refusals_differ.to_string(),
-            ]);
-        }
-        table.print();
-        say!();
-    }
-    say!("error: the largest |a - b| / (1 + |b|); other: another action");
     say!(
         "rounding: the largest difference in what 32 bits make right engines err there; at most {MOST_DISTANCE}"
     );
-    say!("refused: no answer, or no finite number, of both; one-sided: of one of them");
     if let Some(engine) = report.engine {
         say!("{engine}");
     }
 }
-
-const HEADER: [&str; 7] =
-    ["  family", "inputs", "error", "other", "refused", "one-sided", "swallowed"];
 
 const NOTE: &str = "\
 error: the largest relative one; other: another action or allocation
@@ -103,30 +81,32 @@ pub(super) fn judge_actions(report: &Report) -> Outcome {
 
 /// What the plan gives counts, beside what was recorded and beside the truth; that another engine alone is off is a remark.
 /// Where there is no plan or no truth, all that was compared counts.
-pub(super) fn judge_policy(report: &Report) -> Outcome {
+pub(super) fn judge<'a>(engines: impl IntoIterator<Item = &'a Compared>) -> Outcome {
     let counts = |engine: &&Compared| {
-        let beside = [RECORDED, DOUBLE].map(|what| format!("plan against {what}"));
-        beside.iter().any(|name| engine.name.starts_with(name.as_str()))
-            && engine.families.iter().any(|family| family.max_distance.is_some())
+        let mut beside = [RECORDED, DOUBLE, GOLDEN_FAMILY].into_iter();
+        let of_plan = beside.any(|what| engine.name.contains(&format!("plan against {what}")));
+        of_plan || engine.name.starts_with("plan in golden")
     };
-    let (of_plan, others): (Vec<_>, Vec<_>) = report.engines.iter().partition(counts);
-    if of_plan.is_empty() {
-        return judge(others);
+    let (of_plan, others): (Vec<_>, Vec<_>) = engines.into_iter().partition(counts);
+    judge_all(of_plan.iter().copied())?;
+    if !of_plan.iter().any(|engine| engine.max_distance.is_some()) {
+        return judge_all(others);
     }
-    judge(of_plan)?;
     for engine in others {
-        if let Err(failure) = judge([engine]) {
+        if let Err(failure) = judge_all([engine]) {
             tell!("note: {}; the plan is right", failure.message);
         }
     }
     Ok(())
 }
 
-/// Another choice within the tolerance is a near tie, but for golden observations, which have none.
-pub(super) fn judge<'a>(engines: impl IntoIterator<Item = &'a Compared>) -> Outcome {
+/// Another choice within the tolerance is a near tie, but for golden observations, which have none: they are judged by it
+/// where no truth tells how near.
+fn judge_all<'a>(engines: impl IntoIterator<Item = &'a Compared>) -> Outcome {
     for engine in engines {
         for family in &engine.families {
-            let other_action = family.action_mismatches > 0 && family.name == "golden";
+            let is_strict = family.name == GOLDEN_FAMILY && family.max_distance.is_none();
+            let other_action = family.action_mismatches > 0 && is_strict;
             if !family.agrees() || other_action {
                 let how_far = match family.max_distance {
                     Some(distance) => format!(

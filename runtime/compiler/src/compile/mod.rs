@@ -1,29 +1,29 @@
 //! From the bytes of an ONNX file to a plan that was checked against it.
 
-mod parity;
 mod policy;
-mod proposals;
+mod prove;
 
 use sortie_bundle::{Recording, sha256};
 use sortie_core::plan::{Network, Profile, Program, ProgramDraft};
 use sortie_plans::{
-    Comparison, CompileError, CompileOptions, Compiled, TOLERANCE, random_entities,
-    random_observations, random_team_queries, report,
+    CompileError, CompileOptions, Compiled, NetworkFiles, NetworkSizes, ProposalFiles, report,
 };
 
 use crate::graph::{EntityRoles, Graph, Inputs, ProposalPart, TeamRoles};
 use crate::lower::{
     AgentSizes, Choice, EntitySizes, Origin, assemble, lower_agent, lower_agent_int8,
-    lower_entities,
+    lower_entities, lower_proposals,
 };
-use crate::matching::{AgentLayers, match_agent, match_entities, match_team_value};
-use parity::{entities_against_graph, plan_against_graph, team_values_against_graph};
+use crate::matching::{
+    AgentLayers, match_agent, match_entities, match_proposals, match_team_value,
+};
+use crate::networks::Graphs;
+use prove::prove;
 
-pub use parity::{compare_entities_with_graph, compare_team_values_with_graph, compare_with_graph};
 pub use policy::compile_policy;
 #[cfg(test)]
 pub(crate) use policy::prove_policy;
-pub use proposals::{compare_proposals_with_graphs, compile_proposals};
+pub use prove::compare_with_files;
 
 /// Compiles an ONNX file, a network of an agent, of an allocator or over all entities, and proves the plan against it.
 ///
@@ -43,29 +43,58 @@ pub fn compile_rounded(
     compile_for(onnx, options, Some(examples))
 }
 
+/// Compiles trunk, step and critic of an allocator that proposes to one plan, and proves it.
+///
+/// # Errors
+/// As [`compile`].
+pub fn compile_proposals(
+    files: &ProposalFiles<'_>,
+    options: &CompileOptions,
+) -> Result<Compiled, CompileError> {
+    let graphs = Graphs::read(&NetworkFiles::Proposals(*files))?;
+    if options.profile == Profile::Int8 {
+        return Err(CompileError::NoInt8 { what: "an allocator's network".into() });
+    }
+    finish(&graphs, &files.joined(), options, None)
+}
+
 fn compile_for(
     onnx: &[u8],
     options: &CompileOptions,
     examples: Option<&Recording>,
 ) -> Result<Compiled, CompileError> {
-    let graph = Graph::read(onnx)?;
-    let Lowered { program, weights, sizes, network } = lower(&graph, options, examples)?;
-    let metadata = graph.metadata.get("sortie.contract");
+    finish(&Graphs::read(&NetworkFiles::One(onnx))?, onnx, options, examples)
+}
+
+/// Lowers graphs, and proves the plan by their files; `source` is what the plan is known by.
+fn finish(
+    graphs: &Graphs,
+    source: &[u8],
+    options: &CompileOptions,
+    examples: Option<&Recording>,
+) -> Result<Compiled, CompileError> {
+    let Lowered { program, weights, sizes, network } = match graphs {
+        Graphs::One(graph) => lower(graph, options, examples)?,
+        Graphs::Proposals(graphs) => lower_three(graphs, options)?,
+    };
+    let NetworkSizes { network: kind, groups, .. } = network;
+    let metadata = graphs.first().metadata.get("sortie.contract");
     let known = metadata.and_then(|hash| u64::from_str_radix(hash, 16).ok());
     let mut origin = Origin {
-        source: sha256(onnx),
+        source: sha256(source),
         profile: options.profile,
-        network,
+        network: kind,
         contract: options.contract.or(known).unwrap_or(0),
-        t_max: match graph.inputs {
-            Inputs::Entities(EntityRoles { group_count, .. }) => group_count as u16,
+        t_max: match kind {
+            Network::Entities | Network::Proposals => groups as u16,
             _ => options.t_max,
         },
         max_error: 0.0,
         action_mismatch: 0.0,
     };
     let draft = assemble(&program, &weights, sizes, &origin)?;
-    let comparison = prove(&draft, &graph, sizes, options)?;
+    let inputs = network.random_inputs(options.inputs, options.seed);
+    let comparison = prove(&draft, graphs, inputs, options)?;
     origin.max_error = comparison.max_rel_error;
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let bytes = assemble(&program, &weights, sizes, &origin)?;
@@ -80,7 +109,7 @@ struct Lowered {
     program: ProgramDraft,
     weights: Vec<u8>,
     sizes: AgentSizes,
-    network: Network,
+    network: NetworkSizes,
 }
 
 /// Matches a graph and lowers what was found.
@@ -93,13 +122,28 @@ fn lower(
     let drawn = graph.metadata.get("sortie.choice").is_some_and(|choice| choice == "sample");
     let choice = if drawn { Choice::Drawn } else { Choice::Greedy };
     let mut sizes = AgentSizes { n_max, features: graph.columns, actions: graph.actions, choice };
-    let (layers, network) = match graph.inputs {
-        Inputs::Agent(_) => {
+    let mut network = NetworkSizes {
+        network: Network::Agent,
+        n_max,
+        features: graph.columns,
+        actions: graph.actions,
+        memory: 0,
+        relations: 0,
+        groups: 0,
+    };
+    let layers = match graph.inputs {
+        Inputs::Agent(roles) => {
             let features = options.features.or_else(|| graph.number("sortie.features"));
             sizes.features = features.unwrap_or(graph.columns);
-            (match_agent(graph)?, Network::Agent)
+            network.features = sizes.features;
+            network.memory = roles.memory.map_or(0, |memory| memory.size);
+            match_agent(graph)?
         }
-        Inputs::TeamValue(_) => (match_team_value(graph)?, Network::TeamValue),
+        Inputs::TeamValue(TeamRoles { features, relations, .. }) => {
+            let kind = Network::TeamValue;
+            network = NetworkSizes { network: kind, features, relations, ..network };
+            match_team_value(graph)?
+        }
         Inputs::Proposals(roles) => return Err(part_alone(roles.part)),
         Inputs::Entities(EntityRoles { group_count: groups, .. }) => {
             // No action is chosen, but a plan has one at least.
@@ -110,16 +154,25 @@ fn lower(
             if options.profile == Profile::Int8 {
                 return Err(CompileError::NoInt8 { what: "a network over all entities".into() });
             }
-            return Ok(Lowered {
-                program,
-                weights: weights.to_bytes(),
-                sizes,
-                network: Network::Entities,
-            });
+            let network = NetworkSizes { network: Network::Entities, groups, ..network };
+            return Ok(Lowered { program, weights: weights.to_bytes(), sizes, network });
         }
     };
-    let (program, weights) = lower_layers(&layers, sizes, network, (options.profile, examples))?;
+    let of_profile = (options.profile, examples);
+    let (program, weights) = lower_layers(&layers, sizes, network.network, of_profile)?;
     Ok(Lowered { program, weights, sizes, network })
+}
+
+/// The same for trunk, step and critic.
+fn lower_three(graphs: &[Graph; 3], options: &CompileOptions) -> Result<Lowered, CompileError> {
+    let layers = match_proposals(graphs.each_ref())?;
+    let (features, groups) = (layers.trunk.embed.matrix.inputs, layers.trunk.tasks.inputs);
+    let (program, weights) = lower_proposals(&layers, options.n_max)?;
+    let (n_max, actions) = (options.n_max, 1);
+    let sizes = AgentSizes { n_max, features, actions, choice: Choice::Greedy };
+    let (network, memory, relations) = (Network::Proposals, 0, 0);
+    let network = NetworkSizes { network, n_max, features, actions, memory, relations, groups };
+    Ok(Lowered { program, weights: weights.to_bytes(), sizes, network })
 }
 
 /// A part of an allocator that proposes is no plan by itself.
@@ -141,41 +194,4 @@ fn lower_layers(
         return Err(CompileError::NoInt8 { what: "an allocator's network".into() });
     }
     lower_agent_int8(layers, sizes, examples).map(|(program, weights)| (program, weights.bytes))
-}
-
-/// Compares a plan with its graph on random inputs, and refuses one that differs; of an int8 plan only the error is
-/// measured, as its actions in the real environment decide about it.
-fn prove(
-    plan: &[u8],
-    graph: &Graph,
-    sizes: AgentSizes,
-    options: &CompileOptions,
-) -> Result<Comparison, CompileError> {
-    let CompileOptions { inputs, n_max, seed, .. } = *options;
-    let comparison = match graph.inputs {
-        Inputs::Agent(_) => {
-            let AgentSizes { features, actions, .. } = sizes;
-            let observations = random_observations(inputs, n_max, features, actions, seed);
-            plan_against_graph(plan, graph, &observations, seed)?
-        }
-        Inputs::TeamValue(TeamRoles { features, relations, .. }) => {
-            let queries = random_team_queries(inputs, n_max, features, relations, seed);
-            team_values_against_graph(plan, graph, &queries)?
-        }
-        Inputs::Proposals(roles) => return Err(part_alone(roles.part)),
-        Inputs::Entities(EntityRoles { group_count, .. }) => {
-            let steps = random_entities(inputs, n_max, sizes.features, group_count, seed);
-            entities_against_graph(plan, graph, &steps)?
-        }
-    };
-    let error = comparison.max_rel_error;
-    if error.is_nan() || error > TOLERANCE && options.profile != Profile::Int8 {
-        return Err(CompileError::Differs {
-            error,
-            limit: TOLERANCE,
-            input: comparison.worst_input,
-            seed,
-        });
-    }
-    Ok(comparison)
 }

@@ -3,15 +3,15 @@
 use sortie_bundle::sha256;
 use sortie_core::plan::{AlignedBytes, Network, Profile, Program};
 use sortie_plans::{
-    Annex, Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, FlatPolicy,
-    PlanFlatPolicy, PolicyAnswer, PolicyOptions, TeamSizes, TrueNumber, magnitude,
-    random_policy_inputs, report,
+    Annex, Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, Distances,
+    FlatPolicy, PlanFlatPolicy, PolicyAnswer, PolicyOptions, TeamSizes, TrueNumber,
+    random_policy_inputs, relative_error, report,
 };
 
 use crate::flat::FlatGraph;
 use crate::graph::guarded;
 use crate::lower::{AgentSizes, Choice, LoweredPolicy, Origin, assemble, lower_policy};
-use crate::reference::{Distances, TruePolicy};
+use crate::reference::TruePolicy;
 
 /// Multiply-adds of all inputs of a proof together, which the reference evaluator does nine times over in a second.
 const MOST_MULTIPLY_ADDS: u64 = 50_000_000;
@@ -57,8 +57,8 @@ pub fn compile_policy(
     };
     let draft = AlignedBytes::copy_of(&assemble(&program, &weights, sizes, &origin)?);
     let mut plan = PlanFlatPolicy::load(draft.as_slice(), facts.clone())?;
-    let truth = TruePolicy::new(&graph.source, graph.interface)?;
-    let comparison = prove_policy(&mut plan, &truth, options)?;
+    let mut truth = TruePolicy::open(graph)?;
+    let comparison = prove_policy(&mut plan, &mut truth, options)?;
     origin.max_error = comparison.max_rel_error;
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let mut bytes = assemble(&program, &weights, sizes, &origin)?;
@@ -71,7 +71,7 @@ pub fn compile_policy(
 /// Compares a plan with the truth on random inputs, and refuses one that is further from it than rounding accounts for.
 pub(crate) fn prove_policy(
     plan: &mut dyn FlatPolicy,
-    truth: &TruePolicy,
+    truth: &mut TruePolicy,
     options: &CompileOptions,
 ) -> Result<Comparison, CompileError> {
     let CompileOptions { inputs, seed, .. } = *options;
@@ -116,7 +116,7 @@ impl Proof {
     fn add(
         &mut self,
         plan: &mut dyn FlatPolicy,
-        truth: &TruePolicy,
+        truth: &mut TruePolicy,
         given: &[&[f32]],
         states: &mut [f32],
     ) -> Result<(), CompileError> {
@@ -154,7 +154,8 @@ impl Proof {
         };
         let mut answered: Vec<f32> = got.iter().flat_map(numbers).copied().collect();
         answered.extend(&own);
-        self.distances.add(input, &answered, &truths);
+        self.distances.add(input, &answered, &truths, |at| at);
+        let distance = furthest(&answered, &truths);
         // Beside the lowest score all others would be alike.
         let both = answered.iter().zip(&expected);
         let open = both.filter(|(got, want)| !(is_closed(**got) && is_closed(**want)));
@@ -163,9 +164,15 @@ impl Proof {
             .iter()
             .zip(&want)
             .all(|(got, want)| want.scores.is_empty() || got.numbers == want.numbers);
-        self.comparison.add_on_scale(magnitude(&expected), &answered, &expected, same);
+        self.comparison.add_distance(distance, relative_error(&answered, &expected), same);
         Ok(())
     }
+}
+
+/// How far the furthest number is from the truth.
+fn furthest(numbers: &[f32], truths: &[TrueNumber]) -> f64 {
+    let known = numbers.iter().zip(truths).filter(|(_, truth)| truth.is_finite());
+    known.map(|(number, truth)| truth.distance(*number)).fold(0.0, f64::max)
 }
 
 /// What an answer is judged by: scores, where it chooses among them.

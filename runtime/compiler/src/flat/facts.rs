@@ -286,11 +286,11 @@ impl Interface {
     }
 
     /// The numbers of every input of the cut file, in its order.
-    pub(crate) fn arranged<'a>(
+    pub(crate) fn arranged<'a, N>(
         &'a self,
-        inputs: &[&'a [f32]],
-        mut states: &'a [f32],
-    ) -> Result<Vec<(&'a PolicyInput, &'a [f32])>, CompileError> {
+        inputs: &[&'a [N]],
+        mut states: &'a [N],
+    ) -> Result<Vec<(&'a PolicyInput, &'a [N])>, CompileError> {
         self.facts.check(inputs, states)?;
         let mut given = inputs.iter().copied();
         let mut numbers = |input: &PolicyInput| {

@@ -1,11 +1,10 @@
 //! The graph of an ONNX file as tract simplifies it, and what the matcher asks of it.
 
-pub(crate) mod inputs;
-
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
+use tract_onnx::pb;
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::change_axes::AxisOp;
@@ -16,6 +15,9 @@ use sortie_plans::CompileError;
 /// A network with the inputs and outputs of an agent, of an allocator, or over all entities.
 #[derive(Debug)]
 pub(crate) struct Graph {
+    /// The file as it is.
+    pub(crate) file: pb::ModelProto,
+    /// The same, simplified.
     pub(crate) model: TypedModel,
     pub(crate) inputs: Inputs,
     /// Metadata of the file.
@@ -124,13 +126,14 @@ pub(crate) struct ProposalRoles {
 impl Graph {
     /// Reads an ONNX file and finds its inputs: an agent's by type and shape, those of others by name.
     pub(crate) fn read(onnx: &[u8]) -> Result<Self, CompileError> {
-        let (model, metadata) = guarded(|| {
+        let (file, model, metadata) = guarded(|| {
             let onnx_reader = tract_onnx::onnx();
             let file = onnx_reader.proto_model_for_read(&mut &*onnx)?;
             let entries = file.metadata_props.iter();
             let metadata = entries.map(|entry| (entry.key.clone(), entry.value.clone())).collect();
             let model = onnx_reader.model_for_proto_model(&file)?;
-            Ok((model.into_typed()?.into_decluttered()?, metadata))
+            let model = model.into_typed()?.into_decluttered()?;
+            Ok((file, model, metadata))
         })
         .map_err(|reason| CompileError::Unreadable { reason })?;
         let inputs: Vec<TypedFact> = facts(&model, &model.inputs);
@@ -154,7 +157,7 @@ impl Graph {
         else {
             return Err(CompileError::Inputs { found: describe_inputs(&model) });
         };
-        Ok(Self { model, inputs, metadata, columns, actions, answer })
+        Ok(Self { file, model, inputs, metadata, columns, actions, answer })
     }
 
     /// The inputs of an agent's graph.
@@ -187,13 +190,6 @@ impl Graph {
             Inputs::Proposals(roles) => Ok(roles),
             _ => Err(CompileError::OtherNetwork { want: "a proposing allocator's".into() }),
         }
-    }
-
-    /// The graph, ready to run.
-    pub(crate) fn runnable(&self) -> Result<TypedSimpleState, CompileError> {
-        let model = self.model.clone();
-        guarded(|| model.into_optimized()?.into_runnable()?.spawn())
-            .map_err(|reason| CompileError::Run { reason })
     }
 
     /// A whole number of the file's metadata.

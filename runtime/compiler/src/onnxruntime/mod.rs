@@ -1,14 +1,11 @@
 //! The source graph run by onnxruntime: a judge beside tract, and the peer of benchmarks.
 //!
 //! Nothing is linked: the library of the PyPI wheel `onnxruntime` is opened at run time, once in a process.
-//! Sessions run on one thread, with all of onnxruntime's optimisations; inputs and outputs are bound once
-//! for every number of rows, so that a call writes, runs and reads.
+//! Sessions run on one thread, with all of onnxruntime's optimisations.
 
-mod agent;
-mod batched_agents;
+mod batched;
 mod batched_graph;
-mod flat;
-mod proposals;
+mod session;
 
 use std::env;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -16,16 +13,13 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
-use ort::io_binding::IoBinding;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use sortie_plans::{CompileError, OnnxRuntimeError};
 
-pub use agent::{OnnxRuntimePolicy, OnnxRuntimeTeamValue};
-pub use batched_agents::{BatchedAgents, BatchedTeamValues};
+pub use batched::{BatchedAgents, BatchedTeamValues};
 pub use batched_graph::{batched_agents_onnx, batched_team_values_onnx};
-pub(crate) use flat::OnnxRuntimeFlatPolicy;
-pub use proposals::OnnxRuntimeProposals;
+pub(crate) use session::SessionEngine;
 
 /// The library, opened.
 #[derive(Clone, Debug)]
@@ -68,14 +62,6 @@ impl OnnxRuntime {
         };
         build().map_err(refused)
     }
-}
-
-/// Runs what is bound and copies the output; none where onnxruntime refuses, or gives another number of values.
-fn run_bound(session: &mut Session, binding: &IoBinding, to: &mut [f32]) -> Option<()> {
-    let outputs = session.run_binding(binding).ok()?;
-    let output = outputs.values().last()?;
-    let (_, values) = output.try_extract_tensor::<f32>().ok()?;
-    (values.len() == to.len()).then(|| to.copy_from_slice(values))
 }
 
 fn refused(error: ort::Error) -> CompileError {

@@ -23,9 +23,10 @@ use std::rc::Rc;
 use tract_onnx::pb::{AttributeProto, GraphProto, ModelProto, NodeProto};
 
 pub(crate) use noise::Noise;
-pub(crate) use policy::{Distances, TruePolicy};
+pub(crate) use policy::TruePolicy;
 pub(crate) use tensor::Tensor;
 use tensor::{Failure, count};
+pub(crate) use truth::{RUNS, Runs, truth};
 
 /// Values by name.
 type Values = HashMap<String, Rc<Tensor>>;

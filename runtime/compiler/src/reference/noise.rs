@@ -46,7 +46,7 @@ impl Noise {
     }
 
     /// Begins another run, of which everything is drawn anew.
-    pub(super) fn again(&mut self, seed: u64) {
+    pub(crate) fn again(&mut self, seed: u64) {
         (self.seed, self.place) = (seed, 0);
     }
 

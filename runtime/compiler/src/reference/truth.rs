@@ -3,7 +3,6 @@
 use sortie_plans::{TrueNumber, fits};
 
 use super::noise::ROUNDING;
-use super::{Noise, Reference, Tensor};
 
 /// Runs with noise by which scatter is known. With fewer it is known too badly: at four right engines reach ten times
 /// their scatter, at eight six times.
@@ -17,23 +16,6 @@ const SHARED: f64 = 0.3;
 
 /// What every run gives for each wanted output: first the exact numbers, then those of every noisy run.
 pub(crate) type Runs = Vec<Vec<Vec<f64>>>;
-
-/// Evaluates a file once exactly and then with noise; `inputs` are those of a run, which differ where each remembers its own.
-pub(crate) fn runs(
-    reference: &Reference,
-    inputs: impl Fn(usize) -> Vec<(String, Tensor)>,
-    wanted: &[String],
-    seed: u64,
-) -> Result<Runs, String> {
-    let mut noise = Noise::new(seed);
-    let run = |index: usize| {
-        noise.again(seed ^ index as u64);
-        let noise = (index > 0).then_some(&mut noise);
-        let found = reference.run(inputs(index), wanted, noise)?;
-        Ok(found.iter().map(Tensor::to_reals).collect())
-    };
-    (0..RUNS).map(run).collect()
-}
 
 /// The truth that some runs tell: a list for each output.
 pub(crate) fn truth(runs: &Runs) -> Result<Vec<Vec<TrueNumber>>, String> {

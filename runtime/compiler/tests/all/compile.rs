@@ -2,11 +2,13 @@
 
 use safetensors::SafeTensors;
 use sortie_bundle::OwnedObservation;
-use sortie_compiler::{TractPolicy, compare_with_graph, compile, inspect_onnx};
+use sortie_compiler::{GraphPolicy, compile, inspect_onnx};
 use sortie_core::internal::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{EntityMask, NO_ACTION, PlanPolicy, Policy};
 use sortie_plans::{CompileError, CompileOptions, Compiled, inspect_plan, random_observations};
+
+use crate::support::beside_truth;
 
 fn golden(path: &str) -> Vec<u8> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/");
@@ -70,7 +72,7 @@ fn the_recorded_network_gives_its_recorded_utilities() {
     let plan = Plan::load(plan.as_slice()).unwrap();
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let mut plan = PlanPolicy::new(plan, arena.as_mut_slice()).unwrap();
-    let mut tract = TractPolicy::new(&onnx, 58).unwrap();
+    let mut tract = GraphPolicy::by_tract(&onnx, 58).unwrap();
     let cases = recorded();
     assert_eq!(cases.len(), 14);
     for (index, (observation, want)) in cases.iter().enumerate() {
@@ -133,8 +135,8 @@ fn other_seeds_of_observations_agree_too() {
         let onnx = golden(&format!("onnx/{file}.onnx"));
         let plan = compiled(&onnx).bytes;
         let observations = random_observations(300, 11, features, actions, 99);
-        let comparison = compare_with_graph(&plan, &onnx, &observations).unwrap();
-        assert!(comparison.max_rel_error < 1e-6, "{file}: {comparison:?}");
+        let comparison = beside_truth(&plan, &onnx, observations);
+        assert!(comparison.agrees() && comparison.max_rel_error < 1e-6, "{file}: {comparison:?}");
         assert_eq!((comparison.inputs, comparison.action_mismatches), (300, 0));
     }
 }

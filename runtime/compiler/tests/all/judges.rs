@@ -1,9 +1,11 @@
 //! Plans before their judges, on all families of inputs.
 
-use sortie_compiler::{Judge, compile, judge_agent, judge_team_values};
+use sortie_compiler::{GraphTeamValue, LinkedEngines, compile};
 use sortie_plans::{
-    Comparison, CompileOptions, Compiled, Family, ObservationSizes, TOLERANCE, TeamQuerySizes,
-    observation_families, team_query_families,
+    Answer, Comparison, CompileOptions, Compiled, Engines, Family, GraphEngine, MOST_DISTANCE,
+    NetworkFiles, NetworkInput, ObservationSizes, Standard, TOLERANCE, TeamQuerySizes, True,
+    compare, compare_with_truth, inspect_plan, observation_families, plan_answers,
+    team_query_families,
 };
 
 const N_MAX: usize = 9;
@@ -23,7 +25,7 @@ fn compiled(onnx: &[u8]) -> Compiled {
 fn agent(name: &str) -> (Vec<u8>, Compiled, ObservationSizes) {
     let onnx = golden(name);
     let plan = compiled(&onnx);
-    let facts = sortie_plans::inspect_plan(&plan.bytes).unwrap();
+    let facts = inspect_plan(&plan.bytes).unwrap();
     let sizes = ObservationSizes { n_max: N_MAX, features: facts.features, actions: facts.actions };
     (onnx, plan, sizes)
 }
@@ -31,14 +33,40 @@ fn agent(name: &str) -> (Vec<u8>, Compiled, ObservationSizes) {
 fn team_value(name: &str) -> (Vec<u8>, Compiled, TeamQuerySizes) {
     let onnx = golden(name);
     let plan = compiled(&onnx);
-    let (features, relations) = sortie_compiler::TractTeamValue::new(&onnx).unwrap().columns();
+    let (features, relations) = GraphTeamValue::by_tract(&onnx).unwrap().columns();
     (onnx, plan, TeamQuerySizes { n_max: N_MAX, features, relations })
 }
 
+/// A plan beside an engine and beside the truth, on every family.
+fn judged<T: Clone + Into<NetworkInput>>(
+    (plan, onnx): (&[u8], &[u8]),
+    engine: &dyn GraphEngine,
+    families: &[Family<T>],
+) -> Vec<[Comparison; 2]> {
+    let (files, features) = (NetworkFiles::One(onnx), inspect_plan(plan).unwrap().features);
+    let mut graph = engine.network(&files, features).unwrap();
+    let mut truth = LinkedEngines.true_network(&files, features, 1).unwrap();
+    let mut judge = |family: &Family<T>| {
+        let mut family = family.clone().map(Into::into);
+        let got = plan_answers(plan, &mut family.inputs, 1).unwrap();
+        let want = |input: &NetworkInput| graph.answer(input, family.rows).ok();
+        let want: Vec<Option<Answer>> = family.inputs.iter().map(want).collect();
+        let truths = match family.standard {
+            Standard::Same => {
+                let truth = |input: &NetworkInput| truth.answer(input, family.rows).ok();
+                family.inputs.iter().map(truth).collect()
+            }
+            _ => Vec::<Option<True>>::new(),
+        };
+        [compare(&family, &got, &want, &truths), compare_with_truth(&family, &got, &truths)]
+    };
+    families.iter().map(&mut judge).collect()
+}
+
 /// Every input is answered alike by both, or by neither.
-fn assert_agreed(judge: Judge, compared: &[Comparison]) {
-    for family in compared {
-        let what = format!("{} on `{}`: {family:?}", judge.name(), family.name);
+fn assert_agreed(compared: &[[Comparison; 2]]) {
+    for family in compared.iter().flatten() {
+        let what = format!("{family:?}");
         assert!(family.agrees(), "{what}");
         if family.judged {
             let refuses = ["NaN", "infinities", "no available action"];
@@ -49,7 +77,7 @@ fn assert_agreed(judge: Judge, compared: &[Comparison]) {
     }
 }
 
-fn assert_agents_agree(judge: Judge) {
+fn assert_agents_agree(engine: &dyn GraphEngine) {
     for name in [
         "agent_small",
         "agent_one_head",
@@ -59,27 +87,25 @@ fn assert_agents_agree(judge: Judge) {
         "agent_skip_one_layer",
     ] {
         let (onnx, plan, sizes) = agent(name);
-        let families = observation_families(64, sizes, 3);
-        assert_agreed(judge, &judge_agent(&plan.bytes, &onnx, judge, &families).unwrap());
+        assert_agreed(&judged((&plan.bytes, &onnx), engine, &observation_families(64, sizes, 3)));
     }
 }
 
-fn assert_team_values_agree(judge: Judge) {
+fn assert_team_values_agree(engine: &dyn GraphEngine) {
     for name in TEAM_VALUES {
         let (onnx, plan, sizes) = team_value(name);
-        let families = team_query_families(64, sizes, 3);
-        assert_agreed(judge, &judge_team_values(&plan.bytes, &onnx, judge, &families).unwrap());
+        assert_agreed(&judged((&plan.bytes, &onnx), engine, &team_query_families(64, sizes, 3)));
     }
 }
 
 #[test]
-fn agents_agree_with_tract_on_every_family() {
-    assert_agents_agree(Judge::Tract);
+fn agents_agree_with_tract_and_the_truth_on_every_family() {
+    assert_agents_agree(LinkedEngines.tract());
 }
 
 #[test]
-fn team_values_agree_with_tract_on_every_family() {
-    assert_team_values_agree(Judge::Tract);
+fn team_values_agree_with_tract_and_the_truth_on_every_family() {
+    assert_team_values_agree(LinkedEngines.tract());
 }
 
 #[test]
@@ -88,20 +114,22 @@ fn a_plan_of_another_network_is_found_out() {
     // The same inputs and outputs, other weights.
     let (_, other, _) = agent("agent_one_head");
     let families = observation_families(64, sizes, 3);
-    let compared = judge_agent(&other.bytes, &onnx, Judge::Tract, &families).unwrap();
-    let random = compared.iter().find(|family| family.name == "random").unwrap();
-    assert!(random.max_rel_error > TOLERANCE, "{random:?}");
+    let compared = judged((&other.bytes, &onnx), LinkedEngines.tract(), &families);
+    for random in compared.iter().flatten().filter(|family| family.name == "random") {
+        assert!(random.max_distance.is_some_and(|far| far > 1.0e3 * MOST_DISTANCE), "{random:?}");
+        assert!(!random.agrees());
+    }
 }
 
 mod onnxruntime {
     use sortie_bundle::OwnedObservation;
+    use sortie_compiler::GraphPolicy;
     use sortie_compiler::onnxruntime::{
-        BatchedAgents, BatchedTeamValues, OnnxRuntime, OnnxRuntimePolicy, OnnxRuntimeTeamValue,
-        find_library,
+        BatchedAgents, BatchedTeamValues, OnnxRuntime, find_library,
     };
     use sortie_core::Policy;
     use sortie_core::allocate::{TeamQuery, TeamValueNetwork};
-    use sortie_plans::OwnedTeamQuery;
+    use sortie_plans::{BatchedUtilities, BatchedValues, OwnedTeamQuery};
 
     use super::*;
 
@@ -129,8 +157,8 @@ mod onnxruntime {
     #[test]
     fn networks_agree_with_onnxruntime_on_every_family() {
         let runtime = runtime();
-        assert_agents_agree(Judge::OnnxRuntime(runtime));
-        assert_team_values_agree(Judge::OnnxRuntime(runtime));
+        assert_agents_agree(runtime);
+        assert_team_values_agree(runtime);
     }
 
     #[test]
@@ -143,7 +171,7 @@ mod onnxruntime {
 
     fn assert_batched_agents_agree(runtime: &OnnxRuntime, name: &str) {
         let (onnx, _, sizes) = agent(name);
-        let mut single = OnnxRuntimePolicy::new(runtime, &onnx, sizes.features).unwrap();
+        let mut single = GraphPolicy::by_onnxruntime(runtime, &onnx, sizes.features).unwrap();
         let mut batched = BatchedAgents::new(runtime, &onnx, sizes.features).unwrap();
         let masks = inputs(observation_families(32, sizes, 5), "n_max entities");
         for (agents, frame) in masks.windows(3).enumerate() {
@@ -173,7 +201,7 @@ mod onnxruntime {
 
     fn assert_batched_team_values_agree(runtime: &OnnxRuntime, name: &str) {
         let (onnx, _, sizes) = team_value(name);
-        let mut single = OnnxRuntimeTeamValue::new(runtime, &onnx).unwrap();
+        let mut single = GraphTeamValue::by_onnxruntime(runtime, &onnx).unwrap();
         let mut batched = BatchedTeamValues::new(runtime, &onnx).unwrap();
         for query in inputs(team_query_families(16, sizes, 5), "n_max entities") {
             let OwnedTeamQuery { state, task, relation, .. } = &query;

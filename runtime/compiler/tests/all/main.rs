@@ -8,4 +8,5 @@ mod laws;
 mod proposals;
 mod recurrent;
 mod skip;
+mod support;
 mod team_value;

@@ -3,14 +3,15 @@
 use std::sync::OnceLock;
 
 use sortie_bundle::OwnedAllocationState;
-use sortie_compiler::{compare_proposals_with_graphs, compile, compile_proposals};
+use sortie_compiler::{compare_with_files, compile, compile_proposals};
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::{Draw, GumbelDraw};
 use sortie_core::internal::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 use sortie_core::{AllocateError, Allocator, EntityMask, UNASSIGNED};
 use sortie_plans::{
-    CompileError, CompileOptions, ProposalFiles, inspect_plan, random_allocation_states,
+    CompileError, CompileOptions, NetworkFiles, NetworkInput, ProposalFiles, inspect_plan,
+    random_allocation_states,
 };
 
 const N_MAX: usize = 9;
@@ -87,7 +88,9 @@ fn the_plan_agrees_with_the_graphs() {
         let facts = inspect_plan(plan.as_slice()).unwrap();
         assert_eq!((facts.network, facts.features, facts.t_max), (Network::Proposals, FEATURES, 3));
         let compare = |files: &ProposalFiles<'_>| {
-            compare_proposals_with_graphs(plan.as_slice(), files, &states(300), 1).unwrap()
+            let inputs = states(300).into_iter().map(NetworkInput::from).collect();
+            let files = NetworkFiles::Proposals(*files);
+            compare_with_files(plan.as_slice(), &files, inputs, 1).unwrap()
         };
         let comparison = with_files(compare);
         assert!(comparison.agrees() && comparison.inputs == 300, "{comparison:?}");

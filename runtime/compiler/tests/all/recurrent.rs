@@ -2,10 +2,12 @@
 
 use serde_json::Value;
 use sortie_bundle::OwnedObservation;
-use sortie_compiler::{TractPolicy, compare_with_graph, compile, inspect_onnx};
+use sortie_compiler::{GraphPolicy, compile, inspect_onnx};
 use sortie_core::plan::{AlignedBytes, Plan};
 use sortie_core::{DecideError, EntityMask, PlanPolicy, Policy};
 use sortie_plans::{CompileError, CompileOptions, inspect_plan, random_observations};
+
+use crate::support::beside_truth;
 
 fn golden(path: &str) -> Vec<u8> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/");
@@ -82,7 +84,7 @@ fn the_recorded_agent_gives_its_recorded_utilities_and_states() {
     let plan = Plan::load(plan.as_slice()).unwrap();
     let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
     let mut plan = PlanPolicy::new(plan, arena.as_mut_slice()).unwrap();
-    let mut tract = TractPolicy::new(&onnx, 9).unwrap();
+    let mut tract = GraphPolicy::by_tract(&onnx, 9).unwrap();
     let steps = recorded();
     assert!(steps.len() > 15, "{}", steps.len());
     for (index, step) in steps.iter().enumerate() {
@@ -107,7 +109,7 @@ fn plan_and_graph_stay_together_over_an_episode() {
         let actions = plan.actions();
         let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
         let mut plan = PlanPolicy::new(plan, arena.as_mut_slice()).unwrap();
-        let mut tract = TractPolicy::new(&onnx, features).unwrap();
+        let mut tract = GraphPolicy::by_tract(&onnx, features).unwrap();
         assert_eq!((plan.hidden(), tract.hidden()), (size, size));
         let (mut got_state, mut want_state) = (vec![0.0; size], vec![0.0; size]);
         for observation in random_observations(100, 11, features, actions, 5) {
@@ -135,14 +137,13 @@ fn the_report_names_the_unit_and_its_state() {
     let facts = inspect_onnx(&onnx).unwrap();
     assert_eq!(facts.metadata["sortie.hidden"], "8");
     let observations = random_observations(300, 11, 5, 4, 9);
-    let comparison =
-        compare_with_graph(compiled(&onnx, None).as_slice(), &onnx, &observations).unwrap();
-    assert!(comparison.max_rel_error < 1e-6, "{comparison:?}");
+    let comparison = beside_truth(compiled(&onnx, None).as_slice(), &onnx, observations);
+    assert!(comparison.agrees() && comparison.max_rel_error < 1e-6, "{comparison:?}");
 }
 
 #[test]
 fn tract_asks_for_the_state_too() {
-    let mut tract = TractPolicy::new(&golden("onnx/agent_gru_small.onnx"), 5).unwrap();
+    let mut tract = GraphPolicy::by_tract(&golden("onnx/agent_gru_small.onnx"), 5).unwrap();
     let observation = &random_observations(1, 11, 5, 4, 1)[0];
     let refused = |got| Err(DecideError::HiddenState { want: 8, got });
     assert_eq!(tract.decide(&observation.view()), refused(0));
@@ -164,7 +165,7 @@ fn a_unit_of_another_form_is_named_and_tract_still_runs_it() {
     assert_eq!((node.as_str(), operator.as_str()), ("gru.next", "Add"));
     assert_eq!(shapes, "f32 [8], f32 [8]");
     assert!(hint.contains("a recurrent unit is n + z (h - n)"), "{hint}");
-    let mut tract = TractPolicy::new(&onnx, 5).unwrap();
+    let mut tract = GraphPolicy::by_tract(&onnx, 5).unwrap();
     let observation = &random_observations(1, 11, 5, 4, 1)[0];
     assert!(tract.decide_with(&observation.view(), &mut [0.1; 8]).is_ok());
 }

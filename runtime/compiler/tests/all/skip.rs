@@ -1,13 +1,13 @@
 //! Networks whose own row skips the attention become plans that compute the same, in every profile.
 
-use sortie_compiler::{
-    TractPolicy, TractTeamValue, compare_team_values_with_graph, compare_with_graph, compile,
-};
+use sortie_compiler::{GraphPolicy, GraphTeamValue, compile};
 use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
 use sortie_core::internal::kernels::build::Build;
 use sortie_core::plan::{AlignedBytes, HEADER_BYTES, Plan, Profile};
 use sortie_core::{EntityMask, PlanPolicy, Policy};
 use sortie_plans::{CompileOptions, inspect_plan, random_observations, random_team_queries};
+
+use crate::support::beside_truth;
 
 const AGENT: &str = "agent_skip_small";
 const ONE_LAYER: &str = "agent_skip_one_layer";
@@ -39,8 +39,8 @@ fn agents_agree_with_their_graphs_whatever_they_see() {
             for observation in observations.iter_mut().step_by(7) {
                 observation.visible = EntityMask::EMPTY;
             }
-            let got = compare_with_graph(plan.as_slice(), &golden(name), &observations).unwrap();
-            assert!(got.max_rel_error < 1e-5, "{name} of {n_max}, {profile:?}: {got:?}");
+            let got = beside_truth(plan.as_slice(), &golden(name), observations);
+            assert!(got.agrees(), "{name} of {n_max}, {profile:?}: {got:?}");
         }
     }
 }
@@ -50,7 +50,7 @@ fn an_int8_agent_is_near_its_graph() {
     for (name, features, actions) in [(AGENT, 6, 4), (ONE_LAYER, 7, 5)] {
         let plan = compiled(name, 9, Profile::Int8);
         let observations = random_observations(400, 9, features, actions, 5);
-        let got = compare_with_graph(plan.as_slice(), &golden(name), &observations).unwrap();
+        let got = beside_truth(plan.as_slice(), &golden(name), observations);
         assert!(got.max_rel_error < 0.02, "{name}: {got:?}");
     }
 }
@@ -62,7 +62,7 @@ fn an_agent_that_sees_nothing_decides_by_its_own_row() {
         let plan = Plan::load(bytes.as_slice()).unwrap();
         let mut arena = AlignedBytes::zeroed(plan.arena_bytes());
         let mut policy = PlanPolicy::new(plan, arena.as_mut_slice()).unwrap();
-        let mut tract = TractPolicy::new(&golden(AGENT), 6).unwrap();
+        let mut tract = GraphPolicy::by_tract(&golden(AGENT), 6).unwrap();
         let mut answers = Vec::new();
         for mut observation in random_observations(20, 5, 6, 4, 9) {
             observation.visible = EntityMask::EMPTY;
@@ -85,13 +85,13 @@ fn values_of_teams_agree_one_by_one_and_together() {
     let onnx = golden(TEAM_VALUE);
     let bytes = compiled(TEAM_VALUE, 9, Profile::Exact);
     let queries = random_team_queries(600, 9, 6, 3, 17);
-    let got = compare_team_values_with_graph(bytes.as_slice(), &onnx, &queries).unwrap();
-    assert!(got.max_rel_error < 1e-6, "{got:?}");
+    let got = beside_truth(bytes.as_slice(), &onnx, queries.clone());
+    assert!(got.agrees() && got.max_rel_error < 1e-6, "{got:?}");
     let plan = Plan::load(bytes.as_slice()).unwrap();
     let mut arena = AlignedBytes::zeroed(plan.batch_arena_bytes(4));
     let mut rows = vec![f32::NAN; PlanTeamValue::memory_floats(&plan, 32)];
     let mut network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows).unwrap();
-    let mut tract = TractTeamValue::new(&onnx).unwrap();
+    let mut tract = GraphTeamValue::by_tract(&onnx).unwrap();
     for query in &queries[..60] {
         let state = query.state.view();
         let view = query.view(&state);

@@ -1,12 +1,14 @@
 //! An allocator's network becomes a plan that values teams as the graph does.
 
-use sortie_compiler::{TractPolicy, TractTeamValue, compare_team_values_with_graph, compile};
+use sortie_compiler::{GraphPolicy, GraphTeamValue, compile};
 use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError};
 use sortie_core::{AllocateError, PlanPolicy};
 use sortie_plans::{
     CompileError, CompileOptions, OwnedTeamQuery, inspect_plan, random_team_queries,
 };
+
+use crate::support::beside_truth;
 
 fn golden(name: &str) -> Vec<u8> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/onnx/");
@@ -39,10 +41,10 @@ fn the_plan_agrees_with_the_graph() {
     let facts = inspect_plan(plan.as_slice()).unwrap();
     assert_eq!((facts.network, facts.features, facts.actions), (Network::TeamValue, 11, 1));
     assert_eq!(facts.contract, "0123456789abcdef");
-    let comparison = compare_team_values_with_graph(plan.as_slice(), &onnx, &queries(600)).unwrap();
-    assert!(comparison.max_rel_error < 1e-6, "{comparison:?}");
+    let comparison = beside_truth(plan.as_slice(), &onnx, queries(600));
+    assert!(comparison.agrees() && comparison.max_rel_error < 1e-6, "{comparison:?}");
     assert_eq!(comparison.inputs, 600);
-    let mut tract = TractTeamValue::new(&onnx).unwrap();
+    let mut tract = GraphTeamValue::by_tract(&onnx).unwrap();
     assert_eq!(tract.columns(), (6, 3));
     for query in queries(60) {
         let state = query.state.view();
@@ -77,7 +79,7 @@ fn what_is_absent_or_closed_never_matters() {
 #[test]
 fn strange_queries_are_refused_alike() {
     let plan = plan();
-    let mut tract = TractTeamValue::new(&golden("team_value_small")).unwrap();
+    let mut tract = GraphTeamValue::by_tract(&golden("team_value_small")).unwrap();
     let all = queries(40);
     let query = all.iter().find(|query| {
         let (state, own) = (&query.state, query.state.agents + query.task);
@@ -106,8 +108,8 @@ fn strange_queries_are_refused_alike() {
 #[test]
 fn agents_and_allocators_do_not_run_each_other() {
     let small = golden("agent_small");
-    assert!(matches!(TractTeamValue::new(&small), Err(CompileError::OtherNetwork { .. })));
-    let policy = TractPolicy::new(&golden("team_value_small"), 6).map(|_| ());
+    assert!(matches!(GraphTeamValue::by_tract(&small), Err(CompileError::OtherNetwork { .. })));
+    let policy = GraphPolicy::by_tract(&golden("team_value_small"), 6).map(|_| ());
     assert!(matches!(policy, Err(CompileError::OtherNetwork { .. })));
     let agent = compile(&small, &CompileOptions::default()).unwrap().bytes;
     for (plan, is_agent) in [(AlignedBytes::copy_of(&agent), true), (plan(), false)] {

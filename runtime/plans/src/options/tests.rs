@@ -28,12 +28,12 @@ fn the_shipped_agent_plays_whole_episodes_as_the_trainer_did() {
     let plans = plans(&bundle);
     let mut arenas = plans.arenas(1).unwrap();
     let mut policy = plans.policy(&mut arenas).unwrap();
-    let found = compare_with_golden_episodes("plan", policy.as_mut(), &bundle).unwrap();
+    let found = compare_with_golden_episodes(policy.as_mut(), &bundle).unwrap();
     let ticks: Vec<_> = bundle.golden().episodes.iter().flat_map(|it| &it.ticks).collect();
     assert!(bundle.golden().episodes.len() == 3 && ticks.len() > 300, "{}", ticks.len());
     assert!(ticks.iter().filter(|tick| tick.chose).count() > 60);
     assert_eq!((found.inputs, found.action_mismatches), (ticks.len(), 0));
-    let cases = compare_with_golden("plan", policy.as_mut(), &bundle.golden().cases).unwrap();
+    let cases = compare_with_golden(policy.as_mut(), &bundle.golden().cases, &[]);
     assert!(cases.agrees() && cases.action_mismatches == 0, "{cases:?}");
 }
 
@@ -49,7 +49,7 @@ fn another_goal_boundary_or_action_is_told() {
         let mut draft = bundle.draft();
         change(&mut draft.golden.episodes[1].ticks[7]);
         let other = draft.unwritten(bundle.folder()).unwrap();
-        let found = compare_with_golden_episodes("plan", policy.as_mut(), &other).unwrap();
+        let found = compare_with_golden_episodes(policy.as_mut(), &other).unwrap();
         assert_eq!(found.action_mismatches, 1);
     }
 }

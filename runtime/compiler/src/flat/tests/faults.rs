@@ -76,8 +76,8 @@ fn judged(fault: impl Fn(&mut GraphProto)) -> Result<(), CompileError> {
     let bytes = AlignedBytes::copy_of(&policy.compiled.bytes);
     let mut plan = PlanFlatPolicy::load(bytes.as_slice(), policy.facts.clone()).expect("a plan");
     let graph = FlatGraph::read(&right.bytes(), &PolicyOptions::default()).expect("a file");
-    let truth = TruePolicy::new(&graph.source, graph.interface).expect("a truth");
-    prove_policy(&mut plan, &truth, &CompileOptions::default()).map(|_| ())
+    let mut truth = TruePolicy::open(graph).expect("a truth");
+    prove_policy(&mut plan, &mut truth, &CompileOptions::default()).map(|_| ())
 }
 
 fn tensor<'a>(graph: &'a mut GraphProto, name: &str) -> &'a mut TensorProto {
