@@ -169,7 +169,9 @@ impl From<DecideError> for SortieError {
     fn from(error: DecideError) -> Self {
         match error {
             DecideError::TooManyEntities { .. } => Self::TooManyEntities,
-            DecideError::BadLength | DecideError::HiddenState { .. } => Self::WrongLength,
+            DecideError::BadLength
+            | DecideError::HiddenState { .. }
+            | DecideError::NoSuchRow { .. } => Self::WrongLength,
             DecideError::NoAvailableAction => Self::NoAvailableAction,
             DecideError::NonFinite => Self::NotFinite,
             DecideError::Greedy => Self::Greedy,

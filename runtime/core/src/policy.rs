@@ -68,6 +68,11 @@ pub enum DecideError {
     },
     /// The policy chooses greedily: its utilities are not logits to draw from.
     Greedy,
+    /// A number that should be that of a table's row is none.
+    NoSuchRow {
+        /// The table's rows.
+        rows: usize,
+    },
 }
 
 impl core::fmt::Display for DecideError {
@@ -86,6 +91,9 @@ impl core::fmt::Display for DecideError {
                 write!(f, "agent {agent} has no policy: there are policies for {agents} agents")
             }
             Self::Greedy => f.write_str("the policy chooses greedily and cannot be drawn from"),
+            Self::NoSuchRow { rows } => {
+                write!(f, "a number chooses a row of a table of {rows}, and there is no such row")
+            }
         }
     }
 }

@@ -188,6 +188,9 @@ fn detail(op: OpRef<'_>) -> String {
             let (rows, layer, relu) = (op.rows, &op.layer, relu(op.relu));
             format!("[{rows}, {}] -> [{rows}, {}]{relu}", layer.inputs, layer.outputs)
         }
+        OpRef::LookUp(op) => {
+            format!("[{}] -> [{}] of [{}, {}]", op.indices.len, op.to.len, op.rows, op.columns)
+        }
         OpRef::GruCell(op) => format!("[{}]", op.to.len),
         OpRef::LstmCell(op) => format!("[{}]", op.to.len),
         OpRef::Convolve(op) => {

@@ -50,8 +50,8 @@ pub use proposals::{
 };
 pub use set::{AllOperators, FeedForward, Int8FeedForward, Policies};
 pub use steps::{
-    Arrange, Combination, Combine, Constant, Convolve, DenseRows, Function, GruCell, Input,
-    LstmCell, Map, Meaning, Multiply, Normalise, Reduce, Reduction, Select, Softmax, State,
+    Arrange, Choice, Combination, Combine, Constant, Convolve, DenseRows, Function, GruCell, Input,
+    LookUp, LstmCell, Map, Meaning, Multiply, Normalise, Reduce, Reduction, Select, Softmax, State,
 };
 pub use table::{Op, OpKind, OpRef, OperatorSet};
 pub(crate) use table::{has, has_all};

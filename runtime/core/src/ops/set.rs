@@ -59,6 +59,7 @@ impl OperatorSet for Policies {
         OpKind::LstmCell,
         OpKind::Convolve,
         OpKind::DenseRows,
+        OpKind::LookUp,
     ];
 }
 

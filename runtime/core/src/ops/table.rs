@@ -6,7 +6,7 @@ use super::operator::Operator;
 use super::team::Team;
 use super::{
     Arrange, AttendAll, AttendOwn, Combine, Constant, Convolve, Dense, DenseRows, EmbedEntities,
-    EmbedTasks, GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities,
+    EmbedTasks, GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, LookUp,
     LstmCell, Map, MaskedArgmax, MaskedSample, MeanRows, Multiply, Normalise, Output, Places,
     PointerLogits, Reduce, ScoreAllocations, Scratch, Select, Sizes, Softmax, State,
 };
@@ -269,6 +269,8 @@ operators! {
     Convolve,
     /// A layer on every row of a value.
     DenseRows,
+    /// Rows of tables.
+    LookUp,
 }
 
 impl OpKind {

@@ -2,10 +2,10 @@
 
 use sortie_core::include_plan;
 use sortie_core::internal::ops::{
-    Arrange, AttendAll, Combination, Combine, Constant, Convolve, DenseRows, Flag, Function,
-    GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Linear,
-    LstmCell, Map, MaskedSample, MeanRows, Meaning, Members, Multiply, Normalise, Op, OpRef,
-    Output, OutputRows, Place, Reduce, Reduction, Select, Softmax, State,
+    Arrange, AttendAll, Choice, Combination, Combine, Constant, Convolve, DenseRows, Flag,
+    Function, GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities,
+    Int8Layer, Linear, LookUp, LstmCell, Map, MaskedSample, MeanRows, Meaning, Members, Multiply,
+    Normalise, Op, OpRef, Output, OutputRows, Place, Reduce, Reduction, Select, Softmax, State,
 };
 use sortie_core::operators::OpKind;
 use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
@@ -198,7 +198,7 @@ fn other_operators() -> [Op; 9] {
 }
 
 /// One of every step of a policy.
-fn steps() -> [Op; 15] {
+fn steps() -> [Op; 16] {
     let place = Place { offset: 0, len: 4 };
     let (from, to, left, right) = (place, place, place, place);
     let (columns, a, b) = (4, 0, 0);
@@ -207,7 +207,7 @@ fn steps() -> [Op; 15] {
         Op::Input(Input { index: 0, meaning: Meaning::None, to }),
         Op::State(State { from, to }),
         Op::Constant(Constant { weights: 0, to }),
-        Op::Map(Map { function: Function::ArcTangent, a, b, from, to }),
+        Op::Map(Map { function: Function::Truncate, a, b, from, to }),
         Op::Combine(Combine { combination: Combination::Or, left, right, to }),
         Op::Select(Select { condition: from, yes: from, no: from, to }),
         Op::Arrange(Arrange { from, to, sizes, from_strides, to_strides }),
@@ -254,6 +254,15 @@ fn steps() -> [Op; 15] {
             from,
             to,
         }),
+        Op::LookUp(LookUp {
+            choice: Choice::FirstOrLast,
+            constant: Flag::No,
+            tables: from,
+            rows: 2,
+            columns: 2,
+            indices: from,
+            to,
+        }),
     ]
 }
 
@@ -263,12 +272,13 @@ fn functions_have_the_documented_numbers() {
         let row = table("operator").find(|row| row[0].starts_with(name)).expect("a row");
         row[1].split("; ").map(str::to_owned).collect::<Vec<_>>()
     };
-    let [_, _, _, map, combine, _, _, reduce, ..] = steps();
+    let [_, _, _, map, combine, _, _, reduce, .., look_up] = steps();
     // The last of each is what the document names last.
     for (op, name, last) in [
-        (map, "Map", "arc tangent"),
+        (map, "Map", "x without its fraction"),
         (combine, "Combine", "one other than 0"),
         (reduce, "Reduce", "place of the largest, the first of several"),
+        (look_up, "LookUp", "from the first on, else the last row"),
     ] {
         let functions = functions(name);
         assert_eq!(functions.last().map(String::as_str), Some(last));

@@ -147,3 +147,59 @@ fn computed_places_choose_one_number_of_every_row() {
     let refused = compiled(&file.output("q")).unwrap_err().to_string();
     assert!(refused.contains("some rows only"), "{refused}");
 }
+
+/// Whole numbers from -3 to 3 of so many features.
+fn counted(count: &str) -> File {
+    File::default()
+        .input("x", Float, &["1", count])
+        .constant("times", &[], &[3.5])
+        .node("Mul", &["x", "times"], "wide")
+        .node_with("Cast", &["wide"], "n", vec![number("to", Int64 as i64)])
+}
+
+#[test]
+fn rows_of_tables_are_looked_up() {
+    let table: Vec<f32> = (0..42).map(|number| (number * number % 17) as f32 - 8.0).collect();
+    for (sizes, axis) in [([7, 3, 2], 0), ([2, 7, 3], 1), ([2, 3, 7], 2)] {
+        let file = counted("3").whole("back", &[3]).constant("table", &sizes, &table);
+        // Numbers that count from the end, and others that do not.
+        for index in ["n", "m"] {
+            let file = File(file.0.clone()).node("Add", &["n", "back"], "m");
+            let file = file.node_with("Gather", &["table", index], "q", vec![number("axis", axis)]);
+            let found = steps(&file.output("q"));
+            assert!(found.contains(&"LookUp") && !found.contains(&"Multiply"), "{found:?}");
+        }
+    }
+    // A table that is computed.
+    let file = counted("7").input("me", Int64, &["1"]);
+    let file = file.node_with("Gather", &["x", "me"], "q", vec![number("axis", 1)]).output("q");
+    assert!(steps(&file).contains(&"LookUp"));
+}
+
+#[test]
+fn a_layer_on_zeros_and_a_one_is_a_table() {
+    let weights = |count: usize| (0..count).map(|n| (n * 7 % 11) as f32 - 5.0).collect::<Vec<_>>();
+    let one_hot = || {
+        let file = counted("1").whole("depth", &[3]).constant("both", &[2], &[0.0, 1.0]);
+        file.node("OneHot", &["n", "depth", "both"], "hot")
+    };
+    let equal = || {
+        let file = counted("1").whole("places", &[0, 1, 2]);
+        let cast = vec![number("to", Float as i64)];
+        file.node("Equal", &["places", "n"], "is").node_with("Cast", &["is"], "hot", cast)
+    };
+    for (file, relu) in [(one_hot(), true), (one_hot(), false), (equal(), true), (equal(), false)] {
+        let mut file = file
+            .constant("weights", &[3, 5], &weights(15))
+            .constant("bias", &[5], &[0.5, -1.0, 2.0, 0.25, -0.5])
+            .node("MatMul", &["hot", "weights"], "product")
+            .node("Add", &["product", "bias"], if relu { "sum" } else { "q" });
+        if relu {
+            file = file.node("Relu", &["sum"], "q");
+        }
+        let found = steps(&file.output("q"));
+        assert!(found.contains(&"LookUp"), "{found:?}");
+        let others = ["Dense", "Combine", "Select", "Constant"];
+        assert!(!found.iter().any(|step| others.contains(step)), "{found:?}");
+    }
+}

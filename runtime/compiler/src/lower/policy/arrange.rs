@@ -1,6 +1,6 @@
 //! Numbers in another order: transposed, cut out, repeated, beside each other.
 
-use sortie_core::internal::ops::{Arrange, Combination, Multiply, Op, Place};
+use sortie_core::internal::ops::{Arrange, Choice, Combination, Flag, LookUp, Op, Place};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::array::{OneHot, Pad, PadMode, Slice};
 use tract_onnx::tract_core::ops::change_axes::AxisOp;
@@ -256,29 +256,34 @@ impl Lowering<'_> {
         Ok(self.combine(Combination::Or, from_start, from_end))
     }
 
-    /// Rows of a table where the numbers of the rows are computed: products with rows of zeros and a one.
+    /// Rows of a table where the numbers of the rows are computed: the same ones along all axes before theirs.
     fn looked_up(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
-        let (table, indices) = (self.operand(node, 0)?, self.operand(node, 1)?.place);
-        let (before, rows) = table.shape.split_at(axis);
-        let [inner, columns @ ..] = rows else {
-            return Err(self.unsupported(node, "which rows it takes is computed"));
+        let (constant, tables) = match self.table(node)? {
+            Some(table) => (Flag::Yes, table),
+            None => (Flag::No, self.operand(node, 0)?),
         };
-        if before.iter().any(|size| *size != 1) {
-            return Err(self.unsupported(node, "which rows it takes of several tables is computed"));
+        let indices = self.operand(node, 1)?.place;
+        let size = |axes: &[usize]| axes.iter().product::<usize>();
+        let (before, after) = (size(&tables.shape[..axis]), size(&tables.shape[axis + 1..]));
+        let mut repeated = indices;
+        if before > 1 {
+            repeated = self.arena.place(before * indices.len as usize);
+            let of = |size, from, to| Dimension { size, from, to };
+            let each = indices.len as usize;
+            self.arrange(node, indices, repeated, &[of(before, 0, each), of(each, 1, 1)])?;
         }
-        let (inner, columns) = (*inner, columns.iter().product::<usize>());
-        let left = self.hot(node, indices, inner)?;
-        let to = self.arena.place(indices.len as usize * columns);
-        let [rows, inner, columns] = [indices.len as usize, inner, columns].map(|n| n as u32);
-        self.ops.push(Op::Multiply(Multiply {
-            rows,
-            inner,
-            columns,
-            left,
-            right: table.place,
-            to,
-        }));
+        let to = self.arena.place(repeated.len as usize * after);
+        let [rows, columns] = [tables.shape[axis], after].map(|size| size as u32);
+        let (choice, tables, indices) = (Choice::Any, tables.place, repeated);
+        self.ops.push(Op::LookUp(LookUp { choice, constant, tables, rows, columns, indices, to }));
         self.give(node, 0, to)
+    }
+
+    /// What a node takes rows of, among the weights, if it is constant.
+    fn table(&mut self, node: &TypedNode) -> Lowered<Option<Value>> {
+        let constant = self.constant(self.outlet(node, 0)?);
+        let table = constant.and_then(|tensor| Some((numbers(&tensor)?, tensor.shape().to_vec())));
+        Ok(table.map(|(numbers, shape)| Value { place: self.stored_table(&numbers), shape }))
     }
 
     /// Parts of a value whose numbers are constant.

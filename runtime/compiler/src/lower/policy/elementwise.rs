@@ -210,14 +210,6 @@ impl Lowering<'_> {
         if exponent > 0.0 { Ok(power) } else { Ok(self.map(Function::Reciprocal, [0.0; 2], power)) }
     }
 
-    /// The whole part: |x| rounded down, with x's sign.
-    fn truncated(&mut self, x: Place) -> Place {
-        let size = self.map(Function::Absolute, [0.0; 2], x);
-        let floor = self.map(Function::Floor, [0.0; 2], size);
-        let sign = self.map(Function::Sign, [0.0; 2], x);
-        self.combine(Combination::Multiply, sign, floor)
-    }
-
     /// A cast: numbers are f32 whatever they stand for, masks 0 and 1.
     pub(super) fn cast(&mut self, node: &TypedNode, to: DatumType) -> Lowered<()> {
         let value = self.operand(node, 0)?.place;
@@ -229,7 +221,9 @@ impl Lowering<'_> {
                 let zero = self.map(Function::Not, [0.0; 2], value);
                 self.map(Function::Not, [0.0; 2], zero)
             }
-            Some(from) if is_whole(to) && from.is_float() => self.truncated(value),
+            Some(from) if is_whole(to) && from.is_float() => {
+                self.map(Function::Truncate, [0.0; 2], value)
+            }
             _ => value,
         };
         self.give(node, 0, place)
@@ -245,7 +239,7 @@ impl Lowering<'_> {
             let (left, right) =
                 (self.broadcast(node, 0, &shape)?, self.broadcast(node, 1, &shape)?);
             let quotient = self.combine(Combination::Divide, left, right);
-            let mut to = self.truncated(quotient);
+            let mut to = self.map(Function::Truncate, [0.0; 2], quotient);
             if name == "Rem" {
                 let whole = self.combine(Combination::Multiply, to, right);
                 to = self.combine(Combination::Subtract, left, whole);

@@ -114,6 +114,8 @@ struct Lowering<'m> {
     longest_sparse: usize,
     /// The layers among the weights, by what they are.
     layers: HashMap<[u8; 32], StoredLayer>,
+    /// Where the tables among the weights start, by what they are.
+    tables: HashMap<[u8; 32], u32>,
 }
 
 type Lowered<T> = Result<T, CompileError>;
@@ -129,6 +131,7 @@ impl<'m> Lowering<'m> {
             states: Vec::new(),
             longest_sparse: 0,
             layers: HashMap::new(),
+            tables: HashMap::new(),
         }
     }
 

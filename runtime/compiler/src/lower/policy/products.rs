@@ -2,13 +2,16 @@
 
 use sortie_bundle::sha256;
 use sortie_core::internal::kernels::product::padded;
-use sortie_core::internal::ops::{GruCell, LstmCell, Multiply, Op, Place};
+use sortie_core::internal::ops::{Choice, Flag, GruCell, LookUp, LstmCell, Multiply, Op, Place};
 use tract_onnx::prelude::*;
+use tract_onnx::tract_core::ops::array::OneHot;
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
+use tract_onnx::tract_core::ops::cast::Cast;
+use tract_onnx::tract_core::ops::change_axes::AxisOp;
 use tract_onnx::tract_core::ops::einsum::EinSum;
 
 use super::arrange::{Dimension, strides};
-use super::values::{StoredLayer, Value, numbers};
+use super::values::{PolicyWeights, StoredLayer, Value, numbers};
 use super::{Lowered, Lowering, WIDEST};
 use crate::lower::agent::at_most;
 use crate::matching::{Layer, Matrix, as_matrix};
@@ -34,6 +37,12 @@ struct Axis {
     out: Option<usize>,
 }
 
+/// A vector of zeros and a one: the number that says where it stands, and which places it may say.
+struct Hot {
+    index: OutletId,
+    choice: Choice,
+}
+
 impl<'m> Lowering<'m> {
     pub(super) fn product(&mut self, node: &TypedNode, einsum: &EinSum) -> Lowered<()> {
         for slot in [1, 0] {
@@ -57,6 +66,10 @@ impl<'m> Lowering<'m> {
         slot: usize,
         mut layer: Layer,
     ) -> Lowered<()> {
+        let is_tiled = matches!(self.weights, PolicyWeights::Tiles(_));
+        if let Some(hot) = self.hot_vector(node, slot).filter(|_| is_tiled) {
+            return self.row_of_layer(node, hot, layer);
+        }
         let value = self.operand(node, slot)?;
         let axes = self.product_axes(node, einsum)?;
         let own = |axis: &Axis| axis.at[slot];
@@ -97,6 +110,58 @@ impl<'m> Lowering<'m> {
         columns.sort_by_key(|axis| axis.out);
         behind.extend(columns);
         self.result(node, to, &behind)
+    }
+
+    /// A layer on zeros and a one: what it makes of each place of the one, and of zeros alone, stands in a table.
+    fn row_of_layer(&mut self, node: &TypedNode, hot: Hot, mut layer: Layer) -> Lowered<()> {
+        let absorbed = self.absorb(node, &mut layer);
+        let Layer { matrix, bias, relu } = &layer;
+        let zeros = vec![0.0; matrix.outputs];
+        let rows = matrix.values.chunks(matrix.outputs.max(1)).chain([zeros.as_slice()]);
+        let finished = |sum: f32| if *relu && sum <= 0.0 { 0.0 } else { sum };
+        let table: Vec<f32> = rows
+            .flat_map(|row| bias.iter().zip(row).map(|(bias, number)| finished(bias + number)))
+            .collect();
+        let tables = self.stored_table(&table);
+        let indices = self.place_of(hot.index)?;
+        let to = self.arena.place(padded(matrix.outputs));
+        let to = Place { len: matrix.outputs as u32, ..to };
+        let (choice, constant, columns) = (hot.choice, Flag::Yes, to.len);
+        let rows = matrix.inputs as u32 + 1;
+        self.ops.push(Op::LookUp(LookUp { choice, constant, tables, rows, columns, indices, to }));
+        self.give(node, 0, to)?;
+        absorbed.into_iter().try_for_each(|node| self.give(node, 0, to))
+    }
+
+    /// The number that says where a vector of zeros has its one, if that is what an operand is.
+    fn hot_vector(&self, node: &TypedNode, slot: usize) -> Option<Hot> {
+        let mut node = self.model.node(node.inputs.get(slot)?.node);
+        // Zeros and ones are the same numbers in every type.
+        while node.op_is::<AxisOp>() || node.op_is::<Cast>() {
+            node = self.model.node(node.inputs.first()?.node);
+        }
+        let is_single = |outlet: &OutletId| {
+            let shape =
+                self.model.outlet_fact(*outlet).ok().and_then(|fact| fact.shape.as_concrete());
+            shape.is_some_and(|shape| shape.iter().all(|size| *size == 1))
+        };
+        if let Some(hot) = node.op_as::<OneHot>() {
+            let is_plain = numbers(&hot.off)? == [0.0] && numbers(&hot.on)? == [1.0];
+            let index = *node.inputs.first().filter(|index| is_plain && is_single(index))?;
+            return Some(Hot { index, choice: Choice::AnyOrLast });
+        }
+        node.op_as::<TypedBinOp>().filter(|op| op.0.name() == "Eq")?;
+        let counts = |outlet: &OutletId| {
+            let numbers = self.constant(*outlet).and_then(|tensor| numbers(&tensor));
+            numbers.is_some_and(|all| (0..).zip(all).all(|(place, number)| number == place as f32))
+        };
+        let &[left, right] = node.inputs.as_slice() else { return None };
+        let index = match (counts(&left), counts(&right)) {
+            (false, true) => left,
+            (true, false) => right,
+            _ => return None,
+        };
+        is_single(&index).then_some(Hot { index, choice: Choice::FirstOrLast })
     }
 
     /// Adds a layer to the weights; one that stands there already, as in every turn of a loop, stands there once.

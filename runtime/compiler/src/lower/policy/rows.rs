@@ -1,7 +1,8 @@
 //! What becomes of rows: softmax and reductions.
 
 use sortie_core::internal::ops::{
-    Combination, Flag, Function, Multiply, Normalise, Op, Place, Reduce, Reduction, Select, Softmax,
+    Choice, Combination, Flag, Function, LookUp, Multiply, Normalise, Op, Place, Reduce, Reduction,
+    Select, Softmax,
 };
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::array::{CumSum, Topk};
@@ -208,7 +209,7 @@ impl Lowering<'_> {
         Ok(product)
     }
 
-    /// Numbers of a row, each where a computed place says: all others are zeros, and their sum is taken.
+    /// Numbers of a row, each where a computed place says.
     pub(super) fn picked(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
         let (value, places) = (self.operand(node, 0)?, self.operand(node, 1)?);
         let is_apart = |at: usize| at == axis || value.shape[at] == places.shape[at];
@@ -218,32 +219,17 @@ impl Lowering<'_> {
         let (order, columns) = rows(&value.shape, &[axis]);
         let rows_of = self.permuted(node, &value, &order)?;
         let asked = self.permuted(node, &places, &order)?;
-        let count = places.shape[axis];
-        let place = self.picked_of_rows(node, rows_of, asked, [columns, count])?;
+        let place = self.picked_of_rows(rows_of, asked, columns);
         let place = self.restored(node, place, &places, &order)?;
         self.give(node, 0, place)
     }
 
-    /// The same for rows behind each other, so many numbers of each.
-    fn picked_of_rows(
-        &mut self,
-        node: &TypedNode,
-        from: Place,
-        places: Place,
-        [columns, count]: [usize; 2],
-    ) -> Lowered<Place> {
-        let hot = self.hot(node, places, columns)?;
-        let lines = from.len as usize / columns.max(1);
-        let repeated = self.arena.place(hot.len as usize);
-        let sizes = [lines, count, columns];
-        let (own, steps) = (strides(&sizes), [columns, 0, 1]);
-        let dimensions: Vec<Dimension> =
-            (0..3).map(|at| Dimension { size: sizes[at], from: steps[at], to: own[at] }).collect();
-        self.arrange(node, from, repeated, &dimensions)?;
-        let zeros = self.stored(&[0.0]);
-        let kept = self.arena.place(hot.len as usize);
-        self.ops.push(Op::Select(Select { condition: hot, yes: repeated, no: zeros, to: kept }));
-        Ok(self.reduced(Reduction::Sum, columns, kept))
+    /// The same for rows behind each other, as many numbers of each.
+    fn picked_of_rows(&mut self, tables: Place, indices: Place, rows: usize) -> Place {
+        let to = self.arena.place(indices.len as usize);
+        let (choice, constant, rows, columns) = (Choice::Any, Flag::No, rows as u32, 1);
+        self.ops.push(Op::LookUp(LookUp { choice, constant, tables, rows, columns, indices, to }));
+        to
     }
 
     /// Numbers of the last axis, one of every row, where a computed place says.
@@ -258,7 +244,7 @@ impl Lowering<'_> {
         if !is_row {
             return Err(self.unsupported(node, "which parts it takes is computed"));
         }
-        let place = self.picked_of_rows(node, value.place, places.place, [columns, 1])?;
+        let place = self.picked_of_rows(value.place, places.place, columns);
         self.give(node, 0, place)
     }
 }

@@ -180,6 +180,10 @@ fn reads_and_writes(op: &mut Op) -> (Vec<&mut Place>, Vec<&mut Place>) {
         Op::Dense(op) => (vec![&mut op.from], vec![&mut op.to]),
         Op::DenseRows(op) => (vec![&mut op.from], vec![&mut op.to]),
         Op::Int8Dense(op) => (vec![&mut op.from], vec![&mut op.to, &mut op.quantised]),
+        Op::LookUp(op) => {
+            let tables = (!op.constant.is_set()).then_some(&mut op.tables);
+            ([&mut op.indices].into_iter().chain(tables).collect(), vec![&mut op.to])
+        }
         Op::GruCell(op) => {
             (vec![&mut op.input, &mut op.recurrent, &mut op.state], vec![&mut op.to])
         }

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use sortie_bundle::sha256;
 use sortie_core::internal::kernels::product::padded;
 use sortie_core::internal::ops::{
     Constant, Dense, DenseRows, Flag, Int8Dense, Int8Layer, Linear, Op, Place, quantised_floats,
@@ -69,6 +70,15 @@ impl Lowering<'_> {
         let weights = self.weights.add_numbers(numbers);
         self.ops.push(Op::Constant(Constant { weights, to }));
         to
+    }
+
+    /// Adds a table to the weights; one that stands there already, as in every turn of a loop, stands there once.
+    pub(super) fn stored_table(&mut self, numbers: &[f32]) -> Place {
+        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        let weights = &mut self.weights;
+        let offset =
+            self.tables.entry(sha256(&bytes)).or_insert_with(|| weights.add_numbers(numbers));
+        Place { offset: *offset, len: numbers.len() as u32 }
     }
 
     pub(super) fn place_of(&mut self, outlet: OutletId) -> Lowered<Place> {

@@ -59,6 +59,8 @@ pub enum Function {
     Cosine,
     /// The arc tangent
     ArcTangent,
+    /// x without what stands behind its point
+    Truncate,
 }
 
 /// Applies a function to every number.
@@ -128,6 +130,7 @@ impl Operator for Map {
             Function::Sine => each(values, math::sine),
             Function::Cosine => each(values, math::cosine),
             Function::ArcTangent => each(values, math::arc_tangent),
+            Function::Truncate => each(values, libm::truncf),
         }
         Ok(())
     }

@@ -15,7 +15,7 @@ fn functions_are_what_they_are_called() {
     let softplus = |x: f64| x.exp().ln_1p();
     let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
     type Reference = fn(f64) -> f64;
-    let functions: [(Function, f32, f32, Reference); 20] = [
+    let functions: [(Function, f32, f32, Reference); 21] = [
         (Function::Affine, 2.0, -1.5, |x| 2.0 * x - 1.5),
         (Function::Relu, 0.0, 0.0, |x| x.max(0.0)),
         (Function::LeakyRelu, 0.01, 0.0, |x| if x > 0.0 { x } else { f64::from(0.01_f32) * x }),
@@ -36,6 +36,7 @@ fn functions_are_what_they_are_called() {
         (Function::Sine, 0.0, 0.0, f64::sin),
         (Function::Cosine, 0.0, 0.0, f64::cos),
         (Function::ArcTangent, 0.0, 0.0, f64::atan),
+        (Function::Truncate, 0.0, 0.0, f64::trunc),
     ];
     let mut random = Random(3);
     for (function, a, b, reference) in functions {
