@@ -3,10 +3,14 @@
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::os::unix::fs::{PermissionsExt, chown};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
-use crate::support::{self, BUNDLE, TestDomain, assert_fails, interrupt, output, sortie, stderr};
+use crate::support::{
+    self, BUNDLE, TestDomain, assert_fails, interrupt, json, kill, output, sortie, stderr,
+    wait_until,
+};
 
 /// A team that plays until it is interrupted.
 struct Playing(Child);
@@ -101,6 +105,87 @@ fn folders_that_others_own_or_may_open_are_refused() {
     if chown(parent.path(), Some(65_534), None).is_ok() {
         refused(&["belongs to user 65534", "SORTIE_BASE"]);
     }
+}
+
+/// Tries each of the paths in every way, and prints the ways that are open, as `write PATH`.
+const INTRUDER: &str = r#"
+    for path; do
+        head -c 1 "$path" && echo "read $path"
+        ls "$path"/ && echo "list $path"
+        (exec 3<>"$path") && echo "write $path"
+        truncate -c -s 0 "$path" && echo "truncate $path"
+        flock -n "$path" true && echo "lock $path"
+        chmod a+rw "$path" && echo "chmod $path"
+        mv "$path" "$path.moved" && echo "move $path"
+        rm -rf "$path" && [ ! -e "$path" ] && echo "remove $path"
+    done 2> /dev/null
+"#;
+
+/// The ways that are open to another user, of `read`, `list`, `write`, `truncate`, `lock`, `chmod`, `move` and `remove`.
+fn ways_of_another_user(paths: &[PathBuf]) -> Vec<String> {
+    let mut intruder = Command::new("sh");
+    intruder.uid(65_534).gid(65_534).args(["-c", INTRUDER, "sh"]).args(paths);
+    let told = intruder.stderr(Stdio::inherit()).output().expect("a shell of another user");
+    let ways = String::from_utf8_lossy(&told.stdout).into_owned();
+    ways.lines().filter(|line| line.contains(" /dev/shm/")).map(str::to_owned).collect()
+}
+
+/// A folder and all that is in it.
+fn collect(path: PathBuf, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(&path).into_iter().flatten().flatten() {
+        collect(entry.path(), found);
+    }
+    found.push(path);
+}
+
+/// The processes of a domain by role.
+fn roles(domain: &TestDomain, role: &str) -> Vec<u32> {
+    let told = output(&["control", "info", "--domain", &domain.id, "--json"]);
+    let told: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap_or_default();
+    let processes = told["processes"].as_array().cloned().unwrap_or_default();
+    let of_role = processes.iter().filter(|process| process["role"] == role);
+    of_role.filter_map(|process| process["pid"].as_u64()?.try_into().ok()).collect()
+}
+
+#[test]
+fn another_user_reaches_nothing_of_a_running_team() {
+    if !rustix::process::getuid().is_root() {
+        eprintln!("NOT TESTED as another user: only the superuser can be somebody else");
+        return;
+    }
+    let domain = TestDomain::new("stranger");
+    let team = Playing::start(&domain, &["--isolate"]);
+    let mut paths = Vec::new();
+    domain.leftovers().into_iter().for_each(|path| collect(path, &mut paths));
+    assert!(paths.len() > 30, "objects, locks and sockets: {paths:?}");
+    assert_eq!(ways_of_another_user(&paths), [""; 0]);
+    // What is open is found.
+    let open = tempfile::Builder::new().tempfile_in("/dev/shm").expect("a file");
+    fs::set_permissions(open.path(), fs::Permissions::from_mode(0o666)).expect("its mode");
+    let ways = ways_of_another_user(&[open.path().to_path_buf()]);
+    let expected =
+        ["read", "write", "truncate", "lock"].map(|way| format!("{way} {}", open.path().display()));
+    assert_eq!(ways, expected);
+    let examined = json(&["doctor", "--domain", &domain.id, "--json"]);
+    assert_eq!(examined["problems"], 0, "{examined}");
+    let before = roles(&domain, "runner");
+    assert_eq!(before.len(), 5, "a runner for each agent");
+    kill(before[0]);
+    wait_until("the runner is back", || {
+        let now = roles(&domain, "runner");
+        now.len() == 5 && !now.contains(&before[0])
+    });
+    let object = paths.iter().find(|path| path.to_string_lossy().ends_with("-bell"));
+    let object = object.expect("the doorbell");
+    fs::set_permissions(object, fs::Permissions::from_mode(0o606)).expect("its mode");
+    let examined = output(&["doctor", "--domain", &domain.id]);
+    let told = String::from_utf8_lossy(&examined.stdout).into_owned();
+    assert!(told.contains(&format!("{}: is open to other users", object.display())), "{told}");
+    assert_fails(&examined, 1, &["1 problem"]);
+    assert_fails(&output(&["control", "info", "--domain", &domain.id]), 74, &["chmod go="]);
+    fs::set_permissions(object, fs::Permissions::from_mode(0o600)).expect("its mode");
+    team.end();
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 
 #[test]

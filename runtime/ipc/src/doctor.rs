@@ -38,6 +38,17 @@ pub fn examine(domain: &Domain) -> Result<Vec<Finding>, Error> {
         return Ok(findings);
     }
     if domain.is_alive()? {
+        let objects = domain.check_objects();
+        let is_closed = objects.is_ok();
+        findings.push(Finding::of(
+            "shared objects",
+            objects,
+            "the user's alone",
+            "close it, and ask who opened it: whoever can write there can end the team",
+        ));
+        if !is_closed {
+            return Ok(findings);
+        }
         let membership = domain.enter()?;
         examine_running(&membership, &mut findings)?;
     } else {
@@ -53,27 +64,32 @@ fn examine_machine(domain: &Domain) -> Vec<Finding> {
         Finding::of(
             "base directory",
             preflight::check_tmpfs(existing),
+            "on tmpfs",
             "set `SORTIE_BASE` to a directory on tmpfs",
         ),
         Finding::of(
             "ownership",
             preflight::check_ownership(domain),
+            "the user's alone",
             "whoever else may write there can replace what the team uses",
         ),
         Finding::of(
             "socket paths",
             preflight::check_path_length(domain),
+            "short enough",
             "use a shorter domain id, or a shorter `SORTIE_BASE`",
         ),
         Finding::of(
             "shared memory",
             preflight::check_tmpfs(Path::new(SHARED_MEMORY))
                 .and_then(|()| preflight::check_space(USUAL_BYTES)),
+            "enough for a team",
             "remove what fills /dev/shm, or enlarge it: `mount -o remount,size=64m /dev/shm`",
         ),
         Finding::of(
             "open files",
             preflight::check_descriptors(),
+            "enough for a team",
             "raise the limit: `ulimit -n 1024`",
         ),
         match cores {
@@ -118,6 +134,7 @@ fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Resu
     findings.push(Finding::of(
         "room for the domain",
         preflight::check_space(worst_case_bytes(&facts)?),
+        "enough",
         "remove what fills /dev/shm, or enlarge it: `mount -o remount,size=64m /dev/shm`",
     ));
     if let Err(error) = examine_team(membership, &facts, findings) {
@@ -350,9 +367,14 @@ impl Finding {
     }
 
     /// What a check came to.
-    fn of(check: &'static str, result: Result<(), Error>, advice: &'static str) -> Self {
+    fn of(
+        check: &'static str,
+        result: Result<(), Error>,
+        fine: &str,
+        advice: &'static str,
+    ) -> Self {
         match result {
-            Ok(()) => Self::fine(check, "enough for a team"),
+            Ok(()) => Self::fine(check, fine),
             Err(error) => Self::new(Severity::Problem, check, error.to_string(), advice),
         }
     }
@@ -371,6 +393,7 @@ fn examine_served(membership: &Membership, findings: &mut Vec<Finding>) -> Resul
     findings.push(Finding::of(
         "room for the policy",
         preflight::check_space(served_bytes(&format)),
+        "enough",
         "remove what fills /dev/shm, or enlarge it: `mount -o remount,size=64m /dev/shm`",
     ));
     let mut watcher = {

@@ -4,11 +4,12 @@
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use super::facts::{self, DomainContract, DomainFacts};
-use super::{Domain, SHARED_MEMORY, preflight};
+use super::objects::{ignore_missing, remove};
+use super::{Domain, preflight};
 use crate::error::Error;
 use crate::stop::Stop;
 
@@ -34,7 +35,7 @@ impl Domain {
     /// Enters the domain. If nobody is in it, what dead processes left is removed first.
     ///
     /// # Errors
-    /// The domain's directory cannot be used.
+    /// The domain's directory cannot be used, or other users may open one of its objects.
     pub fn enter(&self) -> Result<Membership, Error> {
         preflight::check_descriptors()?;
         preflight::check_path_length(self)?;
@@ -47,6 +48,10 @@ impl Domain {
         if alive.try_lock().is_ok() {
             self.remove_leftovers()?;
             alive.unlock().map_err(Error::io("unlock", &path))?;
+        } else {
+            // Of a process that was killed before it could.
+            self.close_node_numbers()?;
+            self.check_objects()?;
         }
         // Nobody can take it exclusively in between: that needs the start lock.
         alive.lock_shared().map_err(Error::io("lock", &path))?;
@@ -90,29 +95,6 @@ impl Domain {
             }
         }
         self.remove_shared_memory()
-    }
-
-    fn remove_shared_memory(&self) -> Result<(), Error> {
-        for path in self.shared_memory()? {
-            remove(&path)?;
-        }
-        Ok(())
-    }
-
-    /// The domain's objects in shared memory.
-    ///
-    /// # Errors
-    /// Shared memory cannot be listed.
-    pub fn shared_memory(&self) -> Result<Vec<PathBuf>, Error> {
-        let directory = Path::new(SHARED_MEMORY);
-        let mut objects = Vec::new();
-        for entry in fs::read_dir(directory).map_err(Error::io("list", directory))? {
-            let entry = entry.map_err(Error::io("list", directory))?;
-            if entry.file_name().to_str().is_some_and(|name| self.owns(name)) {
-                objects.push(entry.path());
-            }
-        }
-        Ok(objects)
     }
 }
 
@@ -240,22 +222,6 @@ impl Drop for Membership {
     /// Leaves; the last one out removes everything. What fails here is removed by the next start.
     fn drop(&mut self) {
         let _ = self.leave();
-    }
-}
-
-/// Removes whatever carries the domain's name, a folder as well.
-fn remove(path: &Path) -> Result<(), Error> {
-    let removed = match fs::remove_file(path) {
-        Err(error) if error.kind() == io::ErrorKind::IsADirectory => fs::remove_dir_all(path),
-        other => other,
-    };
-    ignore_missing(removed).map_err(Error::io("remove", path))
-}
-
-fn ignore_missing(result: io::Result<()>) -> io::Result<()> {
-    match result {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-        other => other,
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod facts;
 mod membership;
+mod objects;
 pub(crate) mod preflight;
 
 use std::env;

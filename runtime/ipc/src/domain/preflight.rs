@@ -22,7 +22,7 @@ const FULL: u64 = 64 << 10;
 
 const ROOT: u32 = 0;
 /// Bits of a directory's mode.
-const OTHERS: u32 = 0o077;
+pub(super) const OTHERS: u32 = 0o077;
 const WRITE_FOR_OTHERS: u32 = 0o022;
 const STICKY: u32 = 0o1000;
 

@@ -292,12 +292,15 @@ pub(super) fn send<S: LinkService, M: Message>(
 }
 
 pub(super) fn node<S: LinkService>(domain: &Domain, name: &str) -> Result<Node<S>, Error> {
-    NodeBuilder::new()
+    let node = NodeBuilder::new()
         .name(&NodeName::new(name).map_err(failed("node name"))?)
         .config(&config(domain)?)
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .create::<S>()
-        .map_err(|error| domain.explain("node", format!("{error:?}")))
+        .map_err(|error| domain.explain("node", format!("{error:?}")))?;
+    // The first node of a domain has just created them.
+    domain.close_node_numbers()?;
+    Ok(node)
 }
 
 pub(super) fn config(domain: &Domain) -> Result<Config, Error> {
