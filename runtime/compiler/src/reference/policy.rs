@@ -58,7 +58,22 @@ impl TruePolicy {
     ) -> Result<Vec<Vec<TrueNumber>>, CompileError> {
         let states: Vec<f64> = states.iter().copied().map(f64::from).collect();
         let runs = self.runs(inputs, |_| states.as_slice(), seed)?;
-        truth(&runs).map_err(|reason| CompileError::Run { reason })
+        self.truth(&runs)
+    }
+
+    /// What the runs tell; what must not be chosen has the score that plans give it.
+    fn truth(&self, runs: &Runs) -> Result<Vec<Vec<TrueNumber>>, CompileError> {
+        let mut found = truth(runs).map_err(|reason| CompileError::Run { reason })?;
+        for (at, output) in self.interface.facts.outputs.iter().enumerate() {
+            let scores = found.get_mut(self.interface.scores_of(at));
+            let scores = scores.filter(|_| matches!(output.role, OutputRole::Discrete(_)));
+            for number in scores.into_iter().flatten() {
+                if number.value == f64::NEG_INFINITY {
+                    number.value = f32::MIN.into();
+                }
+            }
+        }
+        Ok(found)
     }
 
     fn runs<'s>(
@@ -143,7 +158,7 @@ impl TrueFlatPolicy for TruePolicy {
             let next = (0..facts.len()).filter(is_state).filter_map(|at| run.get(at));
             *states = next.flatten().copied().collect();
         }
-        let found = truth(&runs).map_err(|reason| CompileError::Run { reason })?;
+        let found = self.truth(&runs)?;
         Ok(self.places().filter_map(|at| found.get(at).cloned()).collect())
     }
 }

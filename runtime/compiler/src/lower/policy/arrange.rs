@@ -257,7 +257,7 @@ impl Lowering<'_> {
     }
 
     /// Rows of a table where the numbers of the rows are computed: products with rows of zeros and a one.
-    fn looked_up(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
+    pub(super) fn looked_up(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
         let (table, indices) = (self.operand(node, 0)?, self.operand(node, 1)?.place);
         let (before, rows) = table.shape.split_at(axis);
         let [inner, columns @ ..] = rows else {
