@@ -19,7 +19,7 @@ pub struct PolicyArguments {
     /// An output that is wanted, once for each; `NAME:discrete` or `NAME:continuous` also says what its numbers are
     #[arg(long = "output", value_name = "NAME")]
     outputs: Vec<String>,
-    /// A size that the file leaves open, once for each; a batch is 1
+    /// A size that the file leaves open, once for each; a batch is 1. `INPUT.0=1` where the file fixes it at more
     #[arg(long = "size", value_name = "NAME=N", value_parser = size)]
     sizes: Vec<(String, usize)>,
     /// A recurrent state by its input and its output, once for each; `none` if there is none

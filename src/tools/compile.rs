@@ -163,7 +163,8 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
         return Err(Failure::new(Exit::Usage, message));
     }
     let policy = arguments.policy.options_for(path)?;
-    let compiled = compile_any(&onnx, &options, &policy).map_err(failed)?;
+    let (compiled, remarks) = compile_any(&onnx, &options, &policy).map_err(failed)?;
+    remarks.iter().for_each(|remark| tell!("note: {remark}"));
     write_plan(arguments, &compiled.bytes)?;
     print(arguments, &compiled.report, None, None);
     Ok(())
@@ -177,20 +178,24 @@ fn write_plan(arguments: &CompileArguments, plan: &[u8]) -> Outcome {
     write_output(&arguments.output, plan)
 }
 
-/// Compiles a network of ours, or a policy of somebody else: what says something about one means one.
+/// Compiles a network of ours, or a policy of somebody else: what says something about one means one. With the plan comes
+/// what should be known of it.
 fn compile_any(
     onnx: &[u8],
     options: &CompileOptions,
     policy: &PolicyOptions,
-) -> Result<Compiled, CompileError> {
-    let of_others = || compiler().compile_policy(onnx, policy, options).map(|of| of.compiled);
+) -> Result<(Compiled, Vec<String>), CompileError> {
+    let of_others = || {
+        let of = compiler().compile_policy(onnx, policy, options)?;
+        Ok((of.compiled, of.remarks))
+    };
     if *policy != PolicyOptions::default() {
         return of_others();
     }
     match compiler().compile(onnx, options) {
         // Sizes that are left open can end the reading of a network before its inputs are looked at.
         Err(CompileError::Inputs { .. } | CompileError::Unreadable { .. }) => of_others(),
-        compiled => compiled,
+        compiled => Ok((compiled?, Vec::new())),
     }
 }
 

@@ -31,6 +31,10 @@ fn files_that_tract_or_names_make_hard_are_taken_as_they_are() {
         "rllib_mask_loginf",
         "skl_regressor",
         "hidden_in_buffer",
+        "ls2",
+        "rlse_mask",
+        "image_nhwc_bilinear",
+        "gnn_scatter_dyn",
     ] {
         verified(name, &[]);
     }
@@ -76,11 +80,6 @@ fn what_was_recorded_in_16_bits_is_read() {
 fn what_has_no_plan_is_refused_in_words() {
     let folder = tempfile::tempdir().expect("a folder");
     let plan = folder.path().join("no.plan").display().to_string();
-    let refused = output(&["compile", &file("gnn_scatter_dyn", "onnx"), "-o", &plan]);
-    assert_fails(&refused, 65, &["GatherND", "--backend tract"]);
-    // Its log-softmax is minus infinity where a plan's ends at -87.
-    let refused = output(&["compile", &file("rlse_mask", "onnx"), "-o", &plan]);
-    assert_fails(&refused, 70, &["the plan answers, and the network's numbers are not finite"]);
     let asked = output(&["compile", &file("iqn_random", "onnx"), "-o", &plan]);
     assert_fails(&asked, 2, &["RandomUniformLike"]);
 }

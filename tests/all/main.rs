@@ -34,3 +34,4 @@ mod team;
 mod terminal;
 mod up;
 mod verify;
+mod written;

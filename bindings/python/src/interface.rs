@@ -168,6 +168,7 @@ fn plain(actions: usize, inputs: &[usize], outputs: &[usize], states: &[usize]) 
         kind: ValueType::F32,
         shape: vec![*length],
         role: InputRole::Observation,
+        normals: Vec::new(),
     };
     let output = |(index, length): (usize, &usize)| PolicyOutput {
         name: format!("output_{index}"),

@@ -144,7 +144,11 @@ pub struct Annex {
 
 impl Annex {
     /// Entries of metadata that are longer than 64 KiB are left out: they are no names.
-    pub fn new(facts: PolicyFacts, metadata: impl IntoIterator<Item = (String, String)>) -> Self {
+    pub fn new(
+        mut facts: PolicyFacts,
+        metadata: impl IntoIterator<Item = (String, String)>,
+    ) -> Self {
+        facts.inputs.iter_mut().for_each(|input| input.normals.clear());
         let is_short = |(name, text): &(String, String)| name.len() + text.len() <= ENTRY;
         let metadata = metadata.into_iter().filter(is_short).collect();
         Self { facts, metadata, agreement: None }
@@ -234,6 +238,7 @@ mod tests {
             kind: ValueType::F32,
             shape: vec![1, 8],
             role: InputRole::Observation,
+            normals: Vec::new(),
         };
         let output = PolicyOutput {
             name: "logits".into(),

@@ -68,7 +68,7 @@ pub use options::{
 };
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
-    PolicyOutput, PolicyState, ValueType, roles_of,
+    PolicyOutput, PolicyState, ValueType, finite_score, roles_of,
 };
 pub use policy_plan::{
     CompiledPolicy, LARGEST_DEVIATION, OutputAgreement, PlanFlatPolicy, PolicyAgreement,

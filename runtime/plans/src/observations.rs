@@ -51,23 +51,30 @@ impl OwnedEntities {
     }
 }
 
-/// `count` times random numbers for every input of a policy that is no state: features, small whole numbers, and masks
-/// whose rows hold both, as nobody knows which of both hides everything.
+/// `count` times random numbers for every input of a policy that is no state: features, around the means that the policy
+/// normalises by where it does; small whole numbers; and masks whose rows hold both, as nobody knows which of both hides
+/// everything.
 pub fn random_policy_inputs(count: usize, facts: &PolicyFacts, seed: u64) -> Vec<Vec<Vec<f32>>> {
     let mut random = Random(Xoshiro256PlusPlus::seed_from_u64(seed));
     let mut input = |input: &PolicyInput, sparse: bool| {
         let is_mask = match input.role {
             InputRole::Observation => input.kind == ValueType::Bool,
             InputRole::Available | InputRole::Mask { .. } => true,
+            // Other floats beside observations are masks.
+            InputRole::Extra => input.kind.is_mask() || input.kind.is_float(),
             _ => input.kind.is_mask(),
         };
-        let mut number = || match input.kind {
+        let mut number = |place: usize| match input.kind {
             _ if is_mask => f32::from(u8::from(random.below(3) > 0)),
             kind if kind.is_integer() => random.below(2) as f32,
             ValueType::U8 => random.below(256) as f32,
-            _ => random.feature(sparse),
+            _ => match input.normals.get(place) {
+                // As wide as a normal's numbers are, nearly all of them.
+                Some([mean, deviation]) => mean + 2.0 * deviation * random.feature(sparse),
+                None => random.feature(sparse),
+            },
         };
-        let mut numbers: Vec<f32> = (0..input.length()).map(|_| number()).collect();
+        let mut numbers: Vec<f32> = (0..input.length()).map(&mut number).collect();
         let row = input.shape.last().map_or(1, |size| *size).max(1);
         for row in numbers.chunks_mut(row).filter(|row| is_mask && row.len() > 1) {
             let is_same = row.iter().all(|number| row.first() == Some(number));
@@ -331,6 +338,33 @@ mod tests {
     fn the_same_seed_gives_the_same_observations() {
         assert_eq!(random_observations(20, 9, 5, 3, 1), random_observations(20, 9, 5, 3, 1));
         assert_ne!(random_observations(20, 9, 5, 3, 1), random_observations(20, 9, 5, 3, 2));
+    }
+
+    #[test]
+    fn numbers_that_are_normalised_are_drawn_around_their_means() {
+        let input = |role, normals| PolicyInput {
+            name: "obs".to_owned(),
+            kind: ValueType::F32,
+            shape: vec![1, 2],
+            role,
+            normals,
+        };
+        let facts = PolicyFacts {
+            inputs: vec![
+                input(InputRole::Observation, vec![[50.0, 0.5], [-3.0, 2.0]]),
+                input(InputRole::Extra, Vec::new()),
+            ],
+            outputs: Vec::new(),
+            states: Vec::new(),
+            operators: Default::default(),
+            parameters: 0,
+            multiply_adds: None,
+        };
+        let all = random_policy_inputs(100, &facts, 3);
+        let numbers = |place: usize| all.iter().map(move |given| given[0][place]);
+        assert!(numbers(0).all(|x| (49.0..=51.0).contains(&x)) && numbers(0).any(|x| x < 49.5));
+        assert!(numbers(1).all(|x| (-7.0..=1.0).contains(&x)) && numbers(1).any(|x| x > 0.0));
+        assert!(all.iter().all(|given| given[1].iter().sum::<f32>() == 1.0), "a mask holds both");
     }
 
     #[test]

@@ -53,7 +53,7 @@ pub fn roles_of(bundle: &Bundle) -> Result<Option<PolicyOptions>, CompileError> 
 }
 
 /// What a policy takes and gives: only what the wanted outputs are computed from, sizes fixed, a batch of one.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PolicyFacts {
     /// Inputs, in the file's order.
     pub inputs: Vec<PolicyInput>,
@@ -70,7 +70,7 @@ pub struct PolicyFacts {
 }
 
 /// An input that outputs are computed from.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PolicyInput {
     /// The file's name for it.
     pub name: String,
@@ -80,6 +80,10 @@ pub struct PolicyInput {
     pub shape: Vec<usize>,
     /// What it is for.
     pub role: InputRole,
+    /// Mean and deviation of every number, where the network first normalises by such; empty elsewhere. Plans do not keep
+    /// them.
+    #[serde(default)]
+    pub normals: Vec<[f32; 2]>,
 }
 
 /// An output.
@@ -166,6 +170,11 @@ pub struct PolicyAnswer {
     pub numbers: Vec<f32>,
     /// What they are the places of the largest of, row by row; empty where they are no choice made inside.
     pub scores: Vec<f32>,
+}
+
+/// A score as plans give it: what must not be chosen often has the score minus infinity, and gets the lowest that is a number.
+pub fn finite_score(number: f32) -> f32 {
+    if number == f32::NEG_INFINITY { f32::MIN } else { number }
 }
 
 /// A policy with fixed sizes. Its caller keeps the recurrent states.

@@ -20,6 +20,8 @@ pub struct CompiledPolicy {
     pub compiled: Compiled,
     /// Inputs, outputs and states, in the plan's order.
     pub facts: PolicyFacts,
+    /// What nobody refuses and somebody should know, in sentences.
+    pub remarks: Vec<String>,
 }
 
 /// A policy that runs its plan.

@@ -339,6 +339,7 @@ mod tests {
         length: usize,
     ) -> PolicyFacts {
         let input = |(name, length, role): &(&str, usize, InputRole)| PolicyInput {
+            normals: Vec::new(),
             name: (*name).to_owned(),
             kind: ValueType::F32,
             shape: vec![1, *length],

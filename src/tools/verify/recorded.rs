@@ -11,7 +11,7 @@ use sortie_core::plan::AlignedBytes;
 use sortie_plans::{
     Comparison, CompileError, CompileOptions, CompiledPolicy, FlatPolicy, OutputRole,
     PlanFlatPolicy, PolicyAnswer, PolicyFacts, PolicyOptions, PolicyOutput, RecordedCase,
-    TrueFlatPolicy, TrueNumber, choices, random_policy_inputs, read_onnx,
+    TrueFlatPolicy, TrueNumber, choices, finite_score, random_policy_inputs, read_onnx,
 };
 
 use super::networks::known;
@@ -336,10 +336,16 @@ impl<'a> Cases<'a> {
             let answers = policy.run(&inputs, &mut states);
             let step = answers.map(|answers| Step { answers, states });
             let got = refusals.noted(case, step).map(|step| step.outputs(self.facts));
-            let wanted = self.answers.iter().map(|want| want.map(|w| self.inputs.numbers(w, case)));
-            let wanted: Vec<Option<&[f32]>> = wanted.collect();
-            let is_finite = |numbers: &[f32]| numbers.iter().all(|number| number.is_finite());
-            let has_answer = wanted.iter().flatten().all(|numbers| is_finite(numbers));
+            let wanted = self.answers.iter().zip(&self.facts.outputs);
+            let wanted = wanted.map(|(want, output)| {
+                let numbers = self.inputs.numbers((*want)?, case).iter().copied();
+                Some(match output.role {
+                    OutputRole::Discrete(_) => numbers.map(finite_score).collect(),
+                    _ => numbers.collect::<Vec<f32>>(),
+                })
+            });
+            let wanted: Vec<Option<Vec<f32>>> = wanted.collect();
+            let has_answer = wanted.iter().flatten().flatten().all(|number| number.is_finite());
             for (place, comparison) in comparisons.iter_mut().enumerate() {
                 let Some(Some(want)) = wanted.get(place) else { continue };
                 let truth = truth_of(truths, case, place);

@@ -8,7 +8,7 @@ use sortie_plans::{
     random_policy_inputs, relative_error, report,
 };
 
-use crate::flat::FlatGraph;
+use crate::flat::{FlatGraph, remarks};
 use crate::graph::guarded;
 use crate::lower::{AgentSizes, Choice, LoweredPolicy, Origin, assemble, lower_policy};
 use crate::reference::TruePolicy;
@@ -29,6 +29,7 @@ pub fn compile_policy(
     options: &CompileOptions,
 ) -> Result<CompiledPolicy, CompileError> {
     let graph = FlatGraph::read(onnx, policy)?;
+    let remarks = remarks(&graph);
     let facts = graph.interface.facts.clone();
     let entries = graph.file.metadata_props.iter();
     let metadata = entries.map(|entry| (entry.key.clone(), entry.value.clone()));
@@ -65,7 +66,7 @@ pub fn compile_policy(
     annex.append_to(&mut bytes)?;
     let program = program.to_bytes();
     let report = report(&Program::read(program.as_slice())?, 1, bytes.len(), &comparison);
-    Ok(CompiledPolicy { compiled: Compiled { bytes, report }, facts })
+    Ok(CompiledPolicy { compiled: Compiled { bytes, report }, facts, remarks })
 }
 
 /// Compares a plan with the truth on random inputs, and refuses one that is further from it than rounding accounts for.

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use sortie_plans::{
     CompileError, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
-    PolicyOutput, PolicyState, ValueType,
+    PolicyOutput, PolicyState, ValueType, finite_score,
 };
 use tract_onnx::pb;
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::Cost;
+use tract_onnx::tract_core::ops::cast::Cast;
 use tract_onnx::tract_core::ops::cnn::Conv;
 use tract_onnx::tract_core::ops::einsum::EinSum;
 use tract_onnx::tract_core::ops::scan::Scan;
@@ -116,11 +117,16 @@ impl Selection {
         let has_floats = inputs.iter().any(|input| {
             input.is_float() && !self.states.iter().any(|pair| pair.input == input.name)
         });
+        let sees_others = inputs.iter().any(|input| {
+            let is_state = self.states.iter().any(|pair| pair.input == input.name);
+            input.is_float() && !is_state && !is_mask(input)
+        });
         let mut facts = Vec::new();
         for input in inputs {
             let found = || match &input {
                 _ if self.states.iter().any(|pair| pair.input == input.name) => InputRole::State,
                 _ if available.as_ref() == Some(&input.name) => InputRole::Available,
+                _ if is_mask(&input) && input.is_float() && sees_others => InputRole::Extra,
                 _ if input.is_float() => InputRole::Observation,
                 // Pictures and discrete observations, unless they stand beside an observation of floats.
                 _ if !has_floats && input.is_whole() => InputRole::Observation,
@@ -128,7 +134,7 @@ impl Selection {
             };
             let role = is_of_entities(&input.name).unwrap_or_else(found);
             let (kind, shape) = known(&input)?;
-            facts.push(PolicyInput { name: input.name, kind, shape, role });
+            facts.push(PolicyInput { name: input.name, kind, shape, role, normals: Vec::new() });
         }
         let observes = |input: &PolicyInput| {
             matches!(input.role, InputRole::Observation | InputRole::Entities { .. })
@@ -192,11 +198,11 @@ fn available(
     }
 }
 
-/// Whether its type or, of floats, its name says that it is a mask.
+/// Whether its type or, of floats, its name or its use says that it is a mask.
 fn is_mask(value: &Value) -> bool {
-    let is_word = |word: &String| word == "mask" || word.starts_with("avail");
-    value.kind.is_some_and(ValueType::is_mask)
-        || value.is_float() && words(&value.name).iter().any(is_word)
+    let is_word = |word: &String| word == "mask" || word == "masks" || word.starts_with("avail");
+    let is_named = || words(&value.name).iter().any(is_word);
+    value.kind.is_some_and(ValueType::is_mask) || value.is_float() && (value.is_flag || is_named())
 }
 
 /// An axis that may count from the end.
@@ -211,7 +217,8 @@ fn typed(model: &TypedModel, name: &str, outlet: OutletId) -> Result<Value, Comp
         .outlet_fact(outlet)
         .map_err(|error| CompileError::Unreadable { reason: error.to_string() })?;
     let shape = fact.shape.as_concrete().map(<[usize]>::to_vec);
-    let value = Value { name: name.to_owned(), kind: value_type(fact.datum_type), shape };
+    let kind = value_type(fact.datum_type);
+    let value = Value { name: name.to_owned(), kind, shape, is_flag: is_flag(model, outlet) };
     let all = value.shape.iter().flatten();
     match all.copied().try_fold(1, usize::checked_mul).is_some_and(|all| all <= MOST_NUMBERS) {
         true => Ok(value),
@@ -220,6 +227,16 @@ fn typed(model: &TypedModel, name: &str, outlet: OutletId) -> Result<Value, Comp
             Err(CompileError::NoPolicy { reason })
         }
     }
+}
+
+fn is_flag(model: &TypedModel, outlet: OutletId) -> bool {
+    let output = model.node(outlet.node).outputs.get(outlet.slot);
+    let readers = output.map_or(&[][..], |output| output.successors.as_slice());
+    let asks = |reader: &InletId| {
+        let cast = model.node(reader.node).op_as::<Cast>();
+        cast.is_some_and(|cast| cast.to == bool::datum_type())
+    };
+    !readers.is_empty() && readers.iter().all(asks)
 }
 
 fn output_fact(output: &Value, role: OutputRole) -> Result<PolicyOutput, CompileError> {
@@ -324,17 +341,16 @@ impl Interface {
             *state = next;
         }
         let scores = self.scores.iter().map(|place| place.and_then(|place| given.get(place)));
-        let answer = |((numbers, _), scores): ((&Vec<f32>, _), Option<&Vec<f32>>)| PolicyAnswer {
-            numbers: numbers.clone(),
-            scores: scores.map_or_else(Vec::new, |scores| scores.iter().map(finite).collect()),
-        };
-        Ok(wanted.zip(scores).map(answer).collect())
+        let finite = |numbers: &[f32]| numbers.iter().copied().map(finite_score).collect();
+        let answers = wanted.zip(scores).map(|((numbers, output), scores)| PolicyAnswer {
+            numbers: match output.role {
+                OutputRole::Discrete(_) => finite(numbers),
+                _ => numbers.clone(),
+            },
+            scores: scores.map_or_else(Vec::new, |scores| finite(scores)),
+        });
+        Ok(answers.collect())
     }
-}
-
-/// A score; what must not be chosen often has the score minus infinity.
-fn finite(score: &f32) -> f32 {
-    if *score == f32::NEG_INFINITY { f32::MIN } else { *score }
 }
 
 /// An engine or the reader gave other inputs or outputs than were asked for.

@@ -7,6 +7,7 @@ mod apart;
 mod facts;
 mod misread;
 mod nodes;
+mod normaliser;
 mod prepared;
 mod remarks;
 mod selection;
@@ -37,12 +38,14 @@ pub(crate) struct FlatGraph {
     /// The same, simplified.
     pub(crate) model: TypedModel,
     pub(crate) interface: Interface,
+    /// Names of sizes that were taken for the batch, each with an input that it leads.
+    batches: Vec<(String, String)>,
 }
 
 impl FlatGraph {
     /// Reads a file and finds what is what in it.
     pub(crate) fn read(onnx: &[u8], options: &PolicyOptions) -> Result<Self, CompileError> {
-        let source = fixed(onnx, options)?;
+        let (source, batches) = fixed(onnx, options)?;
         let (file, values) = taken_apart(&source);
         let selection = Selection::of(&file, &values, options)?;
         let outputs = selection.outputs();
@@ -54,10 +57,12 @@ impl FlatGraph {
             unrolled::unrolled(model)?.into_decluttered()
         };
         let model = guarded(read).map_err(|reason| CompileError::Unreadable { reason })?;
-        let facts = selection.facts(&file, &model, options)?;
+        let mut facts = selection.facts(&file, &model, options)?;
         let scores = selection.scores(&outputs, &model);
         let source = cut(&source, &outputs);
-        Ok(Self { source, file, model, interface: Interface { facts, outputs, scores } })
+        normaliser::note_normals(&source, &mut facts);
+        let interface = Interface { facts, outputs, scores };
+        Ok(Self { source, file, model, interface, batches })
     }
 }
 
@@ -66,7 +71,7 @@ pub(crate) type Described = [Vec<(String, String)>; 2];
 
 /// Describes the inputs and outputs of a file whose sizes can be fixed.
 pub(crate) fn described(onnx: &[u8], options: &PolicyOptions) -> Result<Described, CompileError> {
-    let (_, Values { inputs, outputs }) = taken_apart(&fixed(onnx, options)?);
+    let (_, Values { inputs, outputs }) = taken_apart(&fixed(onnx, options)?.0);
     let describe = |value: Value| (value.name.clone(), value.text());
     Ok([inputs, outputs].map(|values| values.into_iter().map(describe).collect()))
 }
@@ -80,18 +85,21 @@ pub(crate) fn declared(file: &pb::ModelProto) -> Described {
     [inputs, outputs].map(Option::unwrap_or_default)
 }
 
-/// A file with all sizes fixed, and the likeliest of what it draws.
-fn fixed(onnx: &[u8], options: &PolicyOptions) -> Result<pb::ModelProto, CompileError> {
+/// A file with all sizes fixed, and the likeliest of what it draws; and the sizes that were taken for the batch.
+fn fixed(
+    onnx: &[u8],
+    options: &PolicyOptions,
+) -> Result<(pb::ModelProto, Vec<(String, String)>), CompileError> {
     let mut file = guarded(|| reader().proto_model_for_read(&mut &*onnx))
         .map_err(|reason| CompileError::Unreadable { reason })?;
     prepared::place_functions(&mut file);
     prepared::widen(&mut file);
     let graph = file.graph.get_or_insert_default();
-    prepared::fix(graph, &options.sizes)?;
+    let batches = prepared::fix(graph, &options.sizes)?;
     if options.outputs.iter().any(|output| output.ends_with(nodes::LIKELIEST)) {
         nodes::take_likeliest(graph);
     }
-    Ok(file)
+    Ok((file, batches))
 }
 
 /// A file as tract reads it, and what goes into and comes out of it.

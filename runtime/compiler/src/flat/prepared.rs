@@ -86,20 +86,22 @@ fn body(function: &FunctionProto, call: &NodeProto) -> Vec<NodeProto> {
 struct Open {
     /// Its name in the file; without one the input's with the place behind it.
     name: String,
+    is_named: bool,
     input: usize,
     axis: usize,
 }
 
 /// Fixes all sizes of the inputs, and leaves out those that the file stores.
 ///
-/// A name that leads the sizes of an input is the batch, and 1 wherever it stands, unless something else is asked for.
+/// A name that leads the sizes of an input is the batch, and 1 wherever it stands, unless something else is asked for. Such
+/// names come back, each with an input that it leads.
 pub(super) fn fix(
     graph: &mut pb::GraphProto,
     sizes: &[(String, usize)],
-) -> Result<(), CompileError> {
+) -> Result<Vec<(String, String)>, CompileError> {
     let stored: BTreeSet<&str> = graph.initializer.iter().map(|t| t.name.as_str()).collect();
     graph.input.retain(|input| !stored.contains(input.name.as_str()));
-    let open = open_sizes(graph)?;
+    let open = open_sizes(graph, sizes)?;
     if let Some((name, _)) = sizes.iter().find(|(name, _)| !open.iter().any(|o| o.name == *name)) {
         return Err(CompileError::NotInFile {
             what: "open size".into(),
@@ -118,10 +120,25 @@ pub(super) fn fix(
             dim.value = Some(Value::DimValue(i64::try_from(size).unwrap_or(i64::MAX)));
         }
     }
-    Ok(())
+    if !sizes.is_empty() {
+        // What is said of them may be of other sizes now.
+        let shapes =
+            graph.output.iter_mut().filter_map(|output| output.r#type.as_mut()?.value.as_mut());
+        for type_proto::Value::TensorType(tensor) in shapes {
+            tensor.shape = None;
+        }
+    }
+    let is_asked = |open: &&Open| sizes.iter().any(|(name, _)| *name == open.name);
+    let batches = open.iter().filter(|open| open.axis == 0 && open.is_named && !is_asked(open));
+    let leads = |open: &Open| Some((open.name.clone(), graph.input.get(open.input)?.name.clone()));
+    Ok(batches.filter_map(leads).collect())
 }
 
-fn open_sizes(graph: &pb::GraphProto) -> Result<Vec<Open>, CompileError> {
+/// The sizes that the file leaves open, and those of `sizes` that it fixes at something else: a batch, for instance.
+fn open_sizes(
+    graph: &pb::GraphProto,
+    sizes: &[(String, usize)],
+) -> Result<Vec<Open>, CompileError> {
     let mut open = Vec::new();
     for (input, value) in graph.input.iter().enumerate() {
         let Some(dims) = dims(value) else {
@@ -129,12 +146,16 @@ fn open_sizes(graph: &pb::GraphProto) -> Result<Vec<Open>, CompileError> {
             return Err(CompileError::NoPolicy { reason });
         };
         for (axis, dim) in dims.iter().enumerate() {
-            let name = match &dim.value {
+            let place = format!("{}.{axis}", value.name);
+            let named = match &dim.value {
+                Some(Value::DimValue(1..)) if sizes.iter().any(|(name, _)| *name == place) => None,
                 Some(Value::DimValue(1..)) => continue,
-                Some(Value::DimParam(name)) if !name.is_empty() => name.clone(),
-                _ => format!("{}.{axis}", value.name),
+                Some(Value::DimParam(name)) if !name.is_empty() => Some(name.clone()),
+                _ => None,
             };
-            open.push(Open { name, input, axis });
+            let is_named = named.is_some();
+            let name = named.unwrap_or(place);
+            open.push(Open { name, is_named, input, axis });
         }
     }
     Ok(open)

@@ -16,7 +16,7 @@ use tract_onnx::tract_core::ops::source::TypedSource;
 use tract_onnx::tract_hir::internal::*;
 
 /// The most turns of a loop that become steps.
-const TURNS: usize = 128;
+pub(super) const TURNS: usize = 128;
 
 /// A graph with its loops and branches laid open, as far as it is known how often a loop turns.
 pub(super) fn unrolled(model: TypedModel) -> TractResult<TypedModel> {

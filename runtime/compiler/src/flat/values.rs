@@ -18,6 +18,8 @@ pub(super) struct Value {
     pub(super) kind: Option<ValueType>,
     /// None where it is not known: that part of the graph may not be needed.
     pub(super) shape: Option<Vec<usize>>,
+    /// Whether all that is asked of its numbers is if they are zero.
+    pub(super) is_flag: bool,
 }
 
 /// The inputs and outputs of a file.
@@ -116,7 +118,7 @@ fn declared(value: &pb::ValueInfoProto) -> Value {
         _ => None,
     };
     let shape = dims(value).and_then(|dims| dims.iter().map(size).collect());
-    Value { name: value.name.clone(), kind: declared_type(value), shape }
+    Value { name: value.name.clone(), kind: declared_type(value), shape, is_flag: false }
 }
 
 /// Type and sizes as the file has them.

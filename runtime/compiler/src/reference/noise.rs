@@ -121,7 +121,8 @@ impl Noise {
             numbers.iter().map(|x| x.abs()).sum::<f64>() / numbers.len().max(1) as f64
         };
         let is_unit = ["RNN", "GRU", "LSTM"].contains(&call.operator());
-        let is_norm = call.operator().ends_with("Normalization");
+        let is_norm =
+            call.operator().ends_with("Normalization") && call.operator() != "BatchNormalization";
         let mean = mean(&input.to_reals());
         let width = |_: usize, x: f64| match index {
             0 if is_norm => of_sum * mean,
@@ -163,14 +164,15 @@ fn scatter(operator: &str) -> Scatter {
         | "GlobalAveragePool" | "Resize" | "Upsample" => Scatter::Sum,
         "Add" | "Sub" | "Mul" | "Div" | "Reciprocal" | "Mod" | "Scaler" | "LeakyRelu" | "PRelu"
         | "DequantizeLinear" => Scatter::Result(1.0),
-        "Tanh" | "Erf" | "HardSigmoid" | "HardSwish" | "Softsign" | "BatchNormalization"
-        | "Asinh" | "Atan" | "Asin" | "Sinh" | "Atanh" => Scatter::Result(2.0),
+        "Tanh" | "Erf" | "HardSigmoid" | "HardSwish" | "Softsign" | "Asinh" | "Atan" | "Asin"
+        | "Sinh" | "Atanh" => Scatter::Result(2.0),
         "Exp" | "Sigmoid" | "Sqrt" | "Sin" | "Cos" | "Tan" | "Log" | "Pow" | "Cosh" | "Acos"
         | "Acosh" | "Gelu" | "Mish" | "Swish" | "ReduceL2" | "ReduceProd" => Scatter::Result(3.0),
         "Elu" | "Selu" | "Celu" | "Softplus" => Scatter::Unit,
         "RNN"
         | "GRU"
         | "LSTM"
+        | "BatchNormalization"
         | "LayerNormalization"
         | "RMSNormalization"
         | "InstanceNormalization"

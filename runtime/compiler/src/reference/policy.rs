@@ -35,7 +35,23 @@ impl TruePolicy {
         seed: u64,
     ) -> Result<Vec<Vec<TrueNumber>>, CompileError> {
         self.remember(states);
-        truth(&self.runs(inputs, seed)?).map_err(|reason| CompileError::Run { reason })
+        let runs = self.runs(inputs, seed)?;
+        self.truth(&runs)
+    }
+
+    /// What the runs tell; what must not be chosen has the score that plans give it.
+    fn truth(&self, runs: &Runs) -> Result<Vec<Vec<TrueNumber>>, CompileError> {
+        let mut found = truth(runs).map_err(|reason| CompileError::Run { reason })?;
+        for (at, output) in self.interface.facts.outputs.iter().enumerate() {
+            let scores = found.get_mut(self.interface.scores_of(at));
+            let scores = scores.filter(|_| matches!(output.role, OutputRole::Discrete(_)));
+            for number in scores.into_iter().flatten() {
+                if number.value == f64::NEG_INFINITY {
+                    number.value = f32::MIN.into();
+                }
+            }
+        }
+        Ok(found)
     }
 
     /// Lets every run remember the same.
@@ -104,7 +120,7 @@ impl TrueFlatPolicy for TruePolicy {
             let next = (0..facts.len()).filter(is_state).filter_map(|at| run.get(at));
             *states = next.flatten().copied().collect();
         }
-        let found = truth(&runs).map_err(|reason| CompileError::Run { reason })?;
+        let found = self.truth(&runs)?;
         Ok(self.places().filter_map(|at| found.get(at).cloned()).collect())
     }
 }

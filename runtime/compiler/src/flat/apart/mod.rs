@@ -1,7 +1,9 @@
 //! Operators that tract does not read, or plans do not have, as others that compute the same.
 
 mod functions;
+mod loops;
 mod quantised;
+mod resize;
 
 use tract_onnx::pb::tensor_proto::DataType::{Bool, Float, Int64};
 use tract_onnx::pb::{AttributeProto, ModelProto, NodeProto, TensorProto};
@@ -11,8 +13,19 @@ use super::nodes::cut;
 use super::values::reader;
 use crate::graph::guarded;
 
+/// Loops inside of loops that are laid open; deeper ones stay.
+const DEEPEST: usize = 4;
+
 /// Puts others in place of what can be taken apart; what cannot stays.
 pub(super) fn take_apart(file: &mut ModelProto) {
+    for _ in 0..DEEPEST {
+        rewrite(file, |node| (node.op_type == "Loop").then_some(loops::laid_open as Writer));
+    }
+    rewrite(file, writer);
+}
+
+/// Puts what the writers of nodes write in the place of these.
+fn rewrite(file: &mut ModelProto, writer: impl Fn(&NodeProto) -> Option<Writer>) {
     let is_known = |node: &NodeProto| writer(node).is_some();
     if !file.graph.as_ref().is_some_and(|graph| graph.node.iter().any(is_known)) {
         return;
@@ -52,6 +65,7 @@ fn writer(node: &NodeProto) -> Option<Writer> {
         "Concat" => Some(functions::joined),
         "LogSoftmax" => Some(functions::log_softmax),
         "ReduceLogSumExp" => Some(functions::log_sum_exp),
+        "Resize" | "Upsample" => Some(resize::resize),
         "Normalizer" if is_classical => Some(functions::normalizer),
         "Scaler" if is_classical => Some(functions::scaler),
         "Selu" => Some(functions::selu),
@@ -110,6 +124,15 @@ impl Parts<'_> {
         own.map_or(0, |set| set.version)
     }
 
+    fn is_upsample(&self) -> bool {
+        self.node.op_type == "Upsample"
+    }
+
+    fn text(&self, name: &str, usual: &str) -> String {
+        let text = self.attribute(name).and_then(|attribute| str::from_utf8(&attribute.s).ok());
+        text.unwrap_or(usual).to_owned()
+    }
+
     fn whole(&self, name: &str) -> i64 {
         self.attribute(name).map_or(0, |attribute| attribute.i)
     }
@@ -122,6 +145,26 @@ impl Parts<'_> {
 
     /// Type and sizes of a value that stands before the node.
     fn fact(&self, name: &str) -> Option<(DatumType, Vec<i64>)> {
+        let model = self.until(name, |model| model.into_typed())?;
+        let fact = model.output_fact(0).ok()?;
+        let sizes = fact.shape.as_concrete()?.iter().map(|size| *size as i64).collect();
+        Some((fact.datum_type, sizes))
+    }
+
+    /// The numbers of a value that nothing which goes in changes.
+    fn computed(&self, name: &str) -> Option<Vec<f64>> {
+        let model = self.until(name, |model| model.into_typed()?.into_decluttered())?;
+        let constant = model.output_fact(0).ok()?.konst.clone()?;
+        let numbers = constant.cast_to::<f64>().ok()?;
+        Some(numbers.to_plain_array_view::<f64>().ok()?.iter().copied().collect())
+    }
+
+    /// The graph of a value that stands before the node.
+    fn until(
+        &self,
+        name: &str,
+        read: impl FnOnce(InferenceModel) -> TractResult<TypedModel>,
+    ) -> Option<TypedModel> {
         // An output that is an input as well would lose its sizes.
         let behind = format!("{name}.behind");
         let mut file = self.file.clone();
@@ -131,11 +174,7 @@ impl Parts<'_> {
             output: vec![behind.clone()],
             ..NodeProto::default()
         });
-        let read = || reader().model_for_proto_model(&cut(&file, &[behind]))?.into_typed();
-        let model = guarded(read).ok()?;
-        let fact = model.output_fact(0).ok()?;
-        let sizes = fact.shape.as_concrete()?.iter().map(|size| *size as i64).collect();
-        Some((fact.datum_type, sizes))
+        guarded(|| read(reader().model_for_proto_model(&cut(&file, &[behind]))?)).ok()
     }
 
     fn add(&mut self, operator: &str, inputs: &[&str]) -> String {
@@ -189,6 +228,11 @@ impl Parts<'_> {
 
     fn floats(&mut self, float_data: Vec<f32>) -> String {
         let (data_type, dims) = (Float as i32, vec![float_data.len() as i64]);
+        self.tensor(TensorProto { data_type, dims, float_data, ..TensorProto::default() })
+    }
+
+    fn matrix(&mut self, sizes: [usize; 2], float_data: Vec<f32>) -> String {
+        let (data_type, dims) = (Float as i32, sizes.map(|size| size as i64).to_vec());
         self.tensor(TensorProto { data_type, dims, float_data, ..TensorProto::default() })
     }
 

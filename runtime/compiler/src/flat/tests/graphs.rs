@@ -6,6 +6,7 @@ use tract_onnx::pb::tensor_proto::DataType::{Bool, Float, Int64, Uint8};
 
 use super::files::File;
 use crate::flat::nodes::Nodes;
+use crate::flat::{FlatGraph, remarks};
 
 fn named(facts: &PolicyFacts, role: InputRole) -> Vec<&str> {
     let inputs = facts.inputs.iter().filter(|input| input.role == role);
@@ -37,6 +38,40 @@ fn a_batch_is_one_wherever_it_stands() {
     let sizes = vec![("B".to_owned(), 2)];
     let facts = file.read(&PolicyOptions { sizes, ..PolicyOptions::default() }).unwrap();
     assert_eq!(facts.inputs[1].shape, [1, 2, 4]);
+}
+
+#[test]
+fn a_batch_that_the_file_fixes_is_remarked_on_and_may_be_one() {
+    let mut file = File::default().input("obs", Float, &["8", "4"]).layer("obs", [4, 3], "q");
+    file.0.output = File::default().input("q", Float, &["8", "3"]).0.input;
+    let read = |options: &PolicyOptions| FlatGraph::read(&file.bytes(), options).expect("a policy");
+    let said = remarks(&read(&PolicyOptions::default()));
+    assert!(said.len() == 1 && said[0].contains("`--size obs.0=1`"), "{said:?}");
+    let sizes = vec![("obs.0".to_owned(), 1)];
+    let graph = read(&PolicyOptions { sizes, ..PolicyOptions::default() });
+    assert_eq!(remarks(&graph), Vec::<String>::new());
+    let facts = graph.interface.facts;
+    assert_eq!(
+        (&facts.inputs[0].shape[..], &facts.outputs[0].shape[..]),
+        (&[1, 4][..], &[1, 3][..])
+    );
+}
+
+#[test]
+fn a_size_that_may_be_no_batch_is_remarked_on() {
+    let remarked = |size: &str, options: &PolicyOptions| {
+        let file = File::default().input("moves", Float, &[size, "4"]).layer("moves", [4, 1], "q");
+        remarks(&FlatGraph::read(&file.output("q").bytes(), options).expect("a policy"))
+    };
+    let none = PolicyOptions::default();
+    for batch in ["batch", "batch_size", "N", "unk__12", "s77", "num_envs", "obs_dim_0", "1", "?"] {
+        assert_eq!(remarked(batch, &none), Vec::<String>::new(), "{batch}");
+    }
+    let said = remarked("n_moves", &none);
+    assert!(said.len() == 1 && said[0].contains("`--size n_moves=7`"), "{said:?}");
+    let sizes = vec![("n_moves".to_owned(), 5)];
+    let asked = remarked("n_moves", &PolicyOptions { sizes, ..PolicyOptions::default() });
+    assert!(!asked.iter().any(|remark| remark.contains("batch of one")), "{asked:?}");
 }
 
 #[test]
@@ -263,4 +298,54 @@ fn numbers_that_are_constant_or_drawn_are_no_states() {
     let outputs = vec!["mean".to_owned()];
     let facts = file.read(&PolicyOptions { outputs, ..PolicyOptions::default() }).unwrap();
     assert_eq!(facts.inputs.len(), 2);
+}
+
+#[test]
+fn a_mask_of_floats_is_known_by_its_name_or_by_its_use() {
+    let masked = |name: &str| {
+        let cast = vec![pb::AttributeProto {
+            i: Bool as i64,
+            name: "to".into(),
+            r#type: 2,
+            ..Default::default()
+        }];
+        File::default()
+            .input("obs", Float, &["1", "3"])
+            .input(name, Float, &["1", "3"])
+            .input("seen_mask", Float, &["1", "4"])
+            .node_with("Cast", &[name], "flags", cast)
+            .node("Where", &["flags", "obs", "obs"], "chosen")
+            .node("ReduceSum", &["seen_mask"], "sum")
+            .node("Add", &["chosen", "sum"], "logits")
+            .output("logits")
+    };
+    for name in ["open", "action_masks"] {
+        let facts = masked(name).found();
+        assert_eq!(named(&facts, InputRole::Available), [name]);
+        assert_eq!(named(&facts, InputRole::Extra), ["seen_mask"]);
+        assert_eq!(named(&facts, InputRole::Observation), ["obs"]);
+    }
+    let alone = File::default().input("mask", Float, &["1", "4"]).layer("mask", [4, 3], "q");
+    assert_eq!(named(&alone.output("q").found(), InputRole::Observation), ["mask"]);
+}
+
+#[test]
+fn means_that_a_file_normalises_by_are_known() {
+    let seen = |first: &str, second: &str| {
+        File::default()
+            .input("obs", Float, &["1", "2"])
+            .constant("a", &[1, 2], &[50.0, -3.0])
+            .constant("b", &[1, 2], &[0.5, 4.0])
+            .node("Flatten", &["obs"], "flat")
+            .node(first, &["flat", "a"], "shifted")
+            .node(second, &["shifted", "b"], "normal")
+            .layer("normal", [2, 3], "q")
+            .output("q")
+    };
+    let normals = |file: &File| file.found().inputs[0].normals.clone();
+    assert_eq!(normals(&seen("Sub", "Div")), [[50.0, 0.5], [-3.0, 4.0]]);
+    assert_eq!(normals(&seen("Add", "Mul")), [[-50.0, 2.0], [3.0, 0.25]]);
+    for (first, second) in [("Div", "Sub"), ("Sub", "Sub"), ("Max", "Div")] {
+        assert!(normals(&seen(first, second)).is_empty(), "{first} {second}");
+    }
 }

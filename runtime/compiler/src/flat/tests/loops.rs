@@ -1,7 +1,7 @@
 //! Loops and branches: laid open they are steps like others. Compiling proves each by double precision on 256 inputs.
 
 use sortie_plans::PolicyOptions;
-use tract_onnx::pb::tensor_proto::DataType::{Bool, Float, Int32};
+use tract_onnx::pb::tensor_proto::DataType::{Bool, Float, Int32, Int64};
 use tract_onnx::pb::{AttributeProto, GraphProto};
 
 use super::files::File;
@@ -126,4 +126,49 @@ fn a_branch_is_both_of_its_ways_and_a_choice() {
     let compiled = compile_policy(&file.bytes(), &options, &Default::default());
     assert!(compiled.is_ok(), "{}", compiled.unwrap_err());
     assert!(steps(&file).contains(&"Select"));
+}
+
+/// A loop whose body adds what it is given of `x`, each turn another row, to its state.
+fn counted(turns: i64, goes_on: &str) -> File {
+    let body = File::default()
+        .input("turn", Int64, &[])
+        .input("holds", Bool, &[])
+        .input("state", Float, &["1", "4"])
+        .whole("first", &[0])
+        .constant("half", &[], &[0.5])
+        .node_with("Gather", &["x", "turn"], "row", vec![number("axis", 0)])
+        .node("Mul", &["state", "half"], "less")
+        .node("Add", &["less", "row"], "next")
+        .node("Identity", &["holds"], "same")
+        .node("Not", &["holds"], "other")
+        .node("Squeeze", &["next", "first"], "seen")
+        .output(goes_on)
+        .output("next")
+        .output("seen");
+    let body = AttributeProto {
+        name: "body".into(),
+        g: Some(GraphProto { name: "body".into(), ..body.0 }),
+        r#type: 5,
+        ..Default::default()
+    };
+    let mut file = File::default()
+        .input("x", Float, &["5", "4"])
+        .input("first", Float, &["1", "4"])
+        .whole("turns", &[turns])
+        .nodes("Loop", &["turns", "", "first"], &["last", "all"], vec![body])
+        .node("Add", &["all", "last"], "q")
+        .output("q");
+    file.0.initializer[0].dims.clear();
+    file
+}
+
+#[test]
+fn a_loop_of_a_constant_count_is_its_turns() {
+    for turns in [1, 5] {
+        let found = compiled(&counted(turns, "same"));
+        assert!(found.is_ok(), "{turns}: {}", found.unwrap_err());
+    }
+    for (turns, goes_on) in [(5, "other"), (129, "same")] {
+        assert!(compiled(&counted(turns, goes_on)).is_err(), "{turns} {goes_on}");
+    }
 }

@@ -5,6 +5,7 @@ mod faults;
 mod files;
 mod graphs;
 mod loops;
+mod masks;
 mod narrow;
 mod operators;
 mod outputs;

@@ -6,7 +6,7 @@ use crate::flat::selection::{Kind, Told, role, wanted};
 use crate::flat::values::Value;
 
 fn value(name: &str, kind: ValueType, shape: &[usize]) -> Value {
-    Value { name: name.to_owned(), kind: Some(kind), shape: Some(shape.to_vec()) }
+    Value { name: name.to_owned(), kind: Some(kind), shape: Some(shape.to_vec()), is_flag: false }
 }
 
 /// The wanted ones of floats of these names; those that start with `!` are choices, with `?` drawn, with `=` constant.

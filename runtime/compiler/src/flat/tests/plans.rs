@@ -264,7 +264,7 @@ fn a_state_that_comes_back_as_it_was_is_kept() {
         .node("Add", &["x", "h_in"], "q")
         .output("q")
         .output("h_out");
-    let CompiledPolicy { compiled, facts } = compiled(&file).unwrap();
+    let CompiledPolicy { compiled, facts, .. } = compiled(&file).unwrap();
     assert_eq!(facts.state_length(), 4);
     let bytes = AlignedBytes::copy_of(&compiled.bytes);
     let plan = Plan::load(bytes.as_slice()).unwrap();

@@ -82,10 +82,69 @@ fn running_sums_go_both_ways() {
     }
 }
 
+fn text(name: &str, text: &str) -> AttributeProto {
+    AttributeProto { s: text.into(), r#type: 3, ..number(name, 0) }
+}
+
+#[test]
+fn pictures_are_made_larger_and_smaller_between_their_points() {
+    const HOW: &str = "coordinate_transformation_mode";
+    let picture = || File::default().input("x", Float, &["1", "2", "7", "5"]);
+    for how in ["half_pixel", "pytorch_half_pixel", "align_corners", "asymmetric"] {
+        for sizes in [[1, 2, 3, 4], [1, 2, 7, 9], [1, 2, 16, 1]] {
+            let attributes = vec![text("mode", "linear"), text(HOW, how)];
+            let file = picture().whole("sizes", &sizes);
+            let file = file.node_with("Resize", &["x", "", "", "sizes"], "q", attributes);
+            compiles(how, file.output("q"));
+        }
+    }
+    let file = picture().constant("scales", &[4], &[1.0, 1.0, 1.7, 0.6]);
+    let file = file.node_with("Resize", &["x", "", "scales"], "q", vec![text("mode", "linear")]);
+    assert!(steps(&file.output("q")).contains(&"DenseRows"));
+    // Channels behind the points, and the sizes computed from those of the picture.
+    let file = picture()
+        .whole("end", &[2])
+        .whole("start", &[0])
+        .whole("new", &[4, 5])
+        .node("Shape", &["x"], "shape")
+        .node("Slice", &["shape", "start", "end"], "first")
+        .node_with("Concat", &["first", "new"], "sizes", vec![number("axis", 0)])
+        .node_with("Resize", &["x", "", "", "sizes"], "q", vec![text("mode", "linear")]);
+    compiles("sizes that are computed", file.output("q"));
+    let cubic = picture().whole("sizes", &[1, 2, 3, 4]);
+    let cubic =
+        cubic.node_with("Resize", &["x", "", "", "sizes"], "q", vec![text("mode", "cubic")]);
+    assert!(compiled(&cubic.output("q")).is_err(), "other weights than the two nearest");
+}
+
+#[test]
+fn rows_are_taken_from_and_added_to_computed_places() {
+    let ends = || {
+        File::default()
+            .input("x", Float, &["2", "3"])
+            .input("ends", Int64, &["4"])
+            .input("new", Float, &["4", "3"])
+            .whole("axis", &[-1])
+            .node("Unsqueeze", &["ends", "axis"], "places")
+    };
+    let file = ends().node("GatherND", &["x", "places"], "rows").node("Add", &["rows", "new"], "q");
+    compiles("GatherND", file.output("q"));
+    let add = || vec![text("reduction", "add")];
+    let file = ends().node_with("ScatterND", &["x", "places", "new"], "q", add());
+    compiles("ScatterND", file.output("q"));
+    let file = ends().node("ScatterND", &["x", "places", "new"], "q");
+    assert!(compiled(&file.output("q")).is_err(), "which of several rows stays is not said");
+    let constant = File::default()
+        .input("x", Float, &["2", "3"])
+        .input("new", Float, &["3", "3"])
+        .whole("places", &[1, 0, 1]);
+    let mut constant = constant.node_with("ScatterND", &["x", "places", "new"], "q", add());
+    constant.0.initializer[0].dims = vec![3, 1];
+    compiles("ScatterND", constant.output("q"));
+}
+
 #[test]
 fn numbers_move_to_places_that_are_constant() {
-    let text =
-        |name: &str, text: &str| AttributeProto { s: text.into(), r#type: 3, ..number(name, 0) };
     let constant = |name: &str, sizes: &[usize], places: &[i64]| {
         let mut file = picture().whole(name, places);
         let sizes = sizes.iter().map(|size| *size as i64).collect();

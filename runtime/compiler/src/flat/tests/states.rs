@@ -6,7 +6,12 @@ use crate::flat::selection::{Pair, find, refuse_hidden};
 use crate::flat::values::{Value, Values};
 
 fn floats(name: &str, shape: &[usize]) -> Value {
-    Value { name: name.to_owned(), kind: Some(ValueType::F32), shape: Some(shape.to_vec()) }
+    Value {
+        name: name.to_owned(),
+        kind: Some(ValueType::F32),
+        shape: Some(shape.to_vec()),
+        is_flag: false,
+    }
 }
 
 /// The pairs among floats of these names, all of one shape, as `IN:OUT`.

@@ -257,7 +257,7 @@ impl Lowering<'_> {
     }
 
     /// Rows of a table where the numbers of the rows are computed: the same ones along all axes before theirs.
-    fn looked_up(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
+    pub(super) fn looked_up(&mut self, node: &TypedNode, axis: usize) -> Lowered<()> {
         let (constant, tables) = match self.table(node)? {
             Some(table) => (Flag::Yes, table),
             None => (Flag::No, self.operand(node, 0)?),

@@ -7,7 +7,7 @@ use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;
 use tract_onnx::tract_core::ops::math::PowConst;
-use tract_onnx::tract_core::ops::nn::LeakyRelu;
+use tract_onnx::tract_core::ops::nn::{LeakyRelu, Softmax, SoftmaxKind};
 
 use super::{Lowered, Lowering};
 
@@ -26,6 +26,13 @@ impl Lowering<'_> {
         if let Some(x) = self.softplus_of(node, op) {
             let x = self.value(x)?.place;
             let to = self.map(Function::Softplus, [0.0; 2], x);
+            return self.give(node, 0, to);
+        }
+        let before = self.model.node(self.outlet(node, 0)?.node);
+        if let ("Ln", Some(softmax)) = (op.0.name().as_str(), before.op_as::<Softmax>())
+            && softmax.kind == SoftmaxKind::Softmax
+        {
+            let to = self.logarithm_of_shares(before, softmax)?;
             return self.give(node, 0, to);
         }
         let to = match op.0.name().as_str() {

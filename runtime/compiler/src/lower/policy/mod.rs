@@ -261,6 +261,10 @@ impl<'m> Lowering<'m> {
         if scatters == Some(&ScatterReduction::None) {
             return self.moved(node, &[0, 2]);
         }
+        let adds = |scatter: &ScatterNd| scatter.reduction == ScatterReduction::Add;
+        if op.downcast_ref::<ScatterNd>().is_some_and(adds) {
+            return self.added_to_rows(node);
+        }
         Err(self.unsupported(node, nearest(&node.op.name())))
     }
 
@@ -310,17 +314,34 @@ impl<'m> Lowering<'m> {
         Ok(LoweredPolicy { program, weights: self.weights, features, actions })
     }
 
-    /// Whether scores are minus infinity where an action must not be chosen.
-    fn is_masked(&self, mut outlet: OutletId) -> bool {
-        let mut node = self.model.node(outlet.node);
-        while node.op_is::<AxisOp>()
-            && let Some(before) = node.inputs.first()
-        {
-            outlet = *before;
-            node = self.model.node(outlet.node);
+    /// Whether scores may be minus infinity, where an action must not be chosen: a constant that is chosen, or the
+    /// logarithm of nothing.
+    fn is_masked(&self, outlet: OutletId) -> bool {
+        let (mut waiting, mut seen) = (vec![outlet], HashSet::new());
+        while let Some(outlet) = waiting.pop() {
+            let node = self.model.node(outlet.node);
+            let is_sum = |op: &TypedBinOp| ["Add", "Sub", "SubF"].contains(&op.0.name());
+            let is_sum = node.op_as::<TypedBinOp>().is_some_and(is_sum);
+            if self.uniform(outlet) == Some(f32::NEG_INFINITY) || self.is_of_nothing(node) {
+                return true;
+            }
+            let passes = is_sum
+                || node.op_is::<AxisOp>()
+                || node.op_is::<Iff>()
+                || node.op_is::<TypedConcat>()
+                || node.op_is::<Slice>();
+            if passes && seen.insert(node.id) {
+                waiting.extend(&node.inputs);
+            }
         }
-        let is_closed = |outlet: &OutletId| self.uniform(*outlet) == Some(f32::NEG_INFINITY);
-        node.op_is::<Iff>() && node.inputs.iter().any(is_closed)
+        false
+    }
+
+    /// Whether a node is a logarithm of numbers that may be zero; sums of powers are not.
+    fn is_of_nothing(&self, node: &TypedNode) -> bool {
+        let is_logarithm = node.op_as::<ElementWiseOp>().is_some_and(|op| op.0.name() == "Ln");
+        let is_sum = |outlet: &OutletId| self.model.node(outlet.node).op_is::<Reduce>();
+        is_logarithm && !node.inputs.iter().any(is_sum)
     }
 
     /// The caller's next state is what stands there behind the last step.

@@ -206,7 +206,7 @@ pub(super) fn nearest(operator: &str) -> &'static str {
     match operator {
         "Compress" => "it has no step, the nearest that has is Gather along one axis",
         "ScatterElements" | "ScatterNd" => {
-            "plans put numbers at constant places and add nothing to what stands there"
+            "plans put numbers at constant places, and add whole rows where computed places say"
         }
         "Scan" | "GruSeq" => {
             "a loop becomes steps where it is known how often it turns, at most 128 times"

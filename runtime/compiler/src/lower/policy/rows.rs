@@ -14,18 +14,34 @@ use super::{Lowered, Lowering};
 
 impl Lowering<'_> {
     pub(super) fn softmax(&mut self, node: &TypedNode, op: &nn::Softmax) -> Lowered<()> {
+        let place = self.shares(node, op, op.kind == SoftmaxKind::LogSoftmax)?;
+        self.give(node, 0, place)
+    }
+
+    /// The softmax of a node's rows, or its logarithm.
+    fn shares(&mut self, node: &TypedNode, op: &nn::Softmax, logarithm: bool) -> Lowered<Place> {
         let value = self.operand(node, 0)?;
         let (order, columns) = rows(&value.shape, &op.axes);
         let from = self.permuted(node, &value, &order)?;
         let to = self.arena.place(from.len as usize);
-        self.ops.push(Op::Softmax(Softmax {
-            logarithm: Flag::from(op.kind == SoftmaxKind::LogSoftmax),
-            columns: columns as u32,
-            from,
-            to,
-        }));
-        let place = self.restored(node, to, &value, &order)?;
-        self.give(node, 0, place)
+        let (logarithm, columns) = (Flag::from(logarithm), columns as u32);
+        self.ops.push(Op::Softmax(Softmax { logarithm, columns, from, to }));
+        self.restored(node, to, &value, &order)
+    }
+
+    /// The logarithm of the numbers that a softmax gives: taken of its rows, as a softmax ends at e⁻⁸⁷; of what 32 bits
+    /// hold as nothing it is minus infinity.
+    pub(super) fn logarithm_of_shares(
+        &mut self,
+        softmax: &TypedNode,
+        op: &nn::Softmax,
+    ) -> Lowered<Place> {
+        /// The logarithm of half of the smallest number above zero.
+        const LEAST: f32 = -103.972_08;
+        let logarithms = self.shares(softmax, op, true)?;
+        let [least, none] = [LEAST, f32::NEG_INFINITY].map(|number| self.stored(&[number]));
+        let is_nothing = self.combine(Combination::Less, logarithms, least);
+        Ok(self.chosen(is_nothing, Some(none), logarithms))
     }
 
     pub(super) fn reduce(&mut self, node: &TypedNode, op: &nn::Reduce) -> Lowered<()> {
@@ -232,10 +248,33 @@ impl Lowering<'_> {
         to
     }
 
-    /// Numbers of the last axis, one of every row, where a computed place says.
+    /// Rows that are added to those of a value, each where a computed place says: products with columns of zeros and a one.
+    pub(super) fn added_to_rows(&mut self, node: &TypedNode) -> Lowered<()> {
+        let (value, places) = (self.operand(node, 0)?, self.operand(node, 1)?);
+        let updates = self.operand(node, 2)?.place;
+        let (Some(rows), Some(1)) = (value.shape.first(), places.shape.last()) else {
+            return Err(self.unsupported(node, "plans add whole rows along the first axis"));
+        };
+        let (rows, count) = (*rows, places.place.len as usize);
+        let hot = self.hot(node, places.place, rows)?;
+        let hot = Value { place: hot, shape: vec![count, rows] };
+        let left = self.permuted(node, &hot, &[1, 0])?;
+        let to = self.arena.place(value.place.len as usize);
+        let columns = value.place.len as usize / rows.max(1);
+        let [rows, inner, columns] = [rows, count, columns].map(|n| n as u32);
+        self.ops.push(Op::Multiply(Multiply { rows, inner, columns, left, right: updates, to }));
+        let place = self.combine(Combination::Add, value.place, to);
+        self.give(node, 0, place)
+    }
+
+    /// Numbers of the last axis, one of every row, or whole rows, where a computed place says.
     pub(super) fn picked_behind(&mut self, node: &TypedNode, batch: usize) -> Lowered<()> {
         let (value, places) = (self.operand(node, 0)?, self.operand(node, 1)?);
         let (before, last) = value.shape.split_at(batch);
+        let is_one_table = before.iter().all(|size| *size == 1);
+        if is_one_table && last.len() > 1 && places.shape.last() == Some(&1) {
+            return self.looked_up(node, batch);
+        }
         let is_row = places.shape.starts_with(before)
             && places.shape[batch..].iter().product::<usize>() == 1;
         let &[columns] = last else {
