@@ -146,6 +146,9 @@ impl From<sortie_ipc::Error> for Failure {
             Error::OtherTeam { .. } => {
                 "; choose another domain with `--domain NAME`, or join its team with `--mix-teams`"
             }
+            Error::OtherRate { .. } => {
+                "; choose another domain with `--domain NAME`, or end that team with `sortie control shut-down`"
+            }
             _ => "",
         };
         let message = with_sources(&error) + advice;

@@ -39,7 +39,8 @@ pub fn say_line(line: fmt::Arguments<'_>) {
 }
 
 pub fn tell_line(line: fmt::Arguments<'_>) {
-    let _ = writeln!(io::stderr(), "{line}");
+    // At once: others write there as well, and a line is theirs or ours.
+    let _ = io::stderr().write_all(format!("{line}\n").as_bytes());
 }
 
 fn remember(written: io::Result<()>) {

@@ -100,7 +100,26 @@ fn tell_team(
         let Some(leader) = processes.find(leads) else { return Ok(Vec::new()) };
         return ask(&mut link, format.schema, &Order { process: Some(leader.pid), ..*order });
     }
+    if order.command == Command::ShutDown && order.process.is_none() {
+        return shut_down(membership, &mut link, format.schema, order);
+    }
     ask(&mut link, format.schema, order)
+}
+
+/// A world takes its team along. Without one, or with one that does not answer, everybody is told.
+fn shut_down(
+    membership: &Membership,
+    link: &mut IoxControl,
+    schema: u64,
+    order: &Order,
+) -> Result<Vec<Answer>, Error> {
+    if membership.has_world()? {
+        let answers = ask(link, schema, order)?;
+        if answers.iter().any(|answer| answer.status == Some(ControlStatus::Done)) {
+            return Ok(answers);
+        }
+    }
+    ask(link, schema, &Order { number: ControlReq::EVERYBODY, ..*order })
 }
 
 fn tell_server(

@@ -26,7 +26,7 @@ use self::world::open_world;
 use crate::allocation::{AllocatorChoice, name_of};
 use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::{domain_contract, open_bundle};
-use crate::failure::Outcome;
+use crate::failure::{Exit, Outcome};
 use crate::output::Common;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::{self, stop_on_signals};
@@ -112,6 +112,11 @@ pub(crate) fn run(arguments: &RunArguments) -> Outcome {
         play_in_process(arguments, &bundle, &mut world, allocator, &mut onlooker, &stop)
     } else {
         play_as_processes(arguments, &bundle, &mut world, allocation, &mut onlooker, &stop)
+    };
+    let ended = match ended {
+        // What the view offers is no failure.
+        Err(failure) if failure.exit == Exit::Interrupted && onlooker.has_quit() => Ok(()),
+        other => other,
     };
     onlooker.restore_terminal();
     let setup = Setup {

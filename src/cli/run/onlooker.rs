@@ -105,6 +105,11 @@ impl Onlooker {
         }
     }
 
+    /// Whether the person who looks on has ended the run by a key.
+    pub(super) fn has_quit(&self) -> bool {
+        self.keyboard.as_ref().is_some_and(Keyboard::has_quit)
+    }
+
     /// Leaves the terminal as it was.
     pub(super) fn restore_terminal(&mut self) {
         self.keyboard = None;
