@@ -14,6 +14,8 @@ use crate::process_info::ProcessInfo;
 const PATIENCE: Duration = Duration::from_secs(1);
 /// The same for what takes a process longer: networks may have to be compiled.
 const LOADING_PATIENCE: Duration = Duration::from_secs(30);
+/// A world that was killed holds its lock until the system has freed what it had.
+const DYING: Duration = Duration::from_millis(250);
 
 /// What the processes of a domain are told.
 #[derive(Clone, Copy, Debug)]
@@ -113,8 +115,11 @@ fn shut_down(
     schema: u64,
     order: &Order,
 ) -> Result<Vec<Answer>, Error> {
-    if membership.has_world()? {
-        let answers = ask(link, schema, order)?;
+    for patience in [DYING, PATIENCE - DYING] {
+        if !membership.has_world()? {
+            break;
+        }
+        let answers = ask_within(link, schema, order, patience)?;
         if answers.iter().any(|answer| answer.status == Some(ControlStatus::Done)) {
             return Ok(answers);
         }
@@ -136,6 +141,16 @@ fn tell_server(
 }
 
 fn ask(link: &mut IoxControl, schema: u64, order: &Order) -> Result<Vec<Answer>, Error> {
+    let loads = order.command == Command::ReloadModel;
+    ask_within(link, schema, order, if loads { LOADING_PATIENCE } else { PATIENCE })
+}
+
+fn ask_within(
+    link: &mut IoxControl,
+    schema: u64,
+    order: &Order,
+    patience: Duration,
+) -> Result<Vec<Answer>, Error> {
     let request = ControlReq {
         arg: order.process.unwrap_or(0),
         arg64: order.number,
@@ -143,8 +158,6 @@ fn ask(link: &mut IoxControl, schema: u64, order: &Order) -> Result<Vec<Answer>,
         token: u64::from(std::process::id()),
         ..ControlReq::new(schema, order.command)
     };
-    let loads = order.command == Command::ReloadModel;
-    let patience = if loads { LOADING_PATIENCE } else { PATIENCE };
     let answers = link.ask(&request, patience)?.into_iter();
     let of_this = answers.filter(|rep| rep.fits(schema) && rep.token == request.token);
     let answers = of_this
