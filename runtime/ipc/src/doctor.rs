@@ -242,14 +242,29 @@ fn is_told_by_world(statuses: &BTreeMap<u32, StatMsg>) -> bool {
 
 /// Index of missed wake-ups in the counters of a status.
 const MISSED_WAKE_UPS: usize = 10;
+/// Index of the longest time that a frame of a world came after it was due.
+const LONGEST_DELAY_NS: usize = 14;
+/// Index of the periods that a world skipped.
+const SKIPPED_PERIODS: usize = 15;
 
 /// What a process has done; a supervisor takes no part in ticks.
 fn ticks(role: &str, status: &StatMsg, missed: u64) -> String {
     let [ticks, late] = [status.counters[0], status.counters[2]];
-    match role == Role::Supervisor.name() {
-        true => String::new(),
-        false => format!(", {ticks} ticks, {late} late, {missed} lost wake-ups"),
+    if role == Role::Supervisor.name() {
+        return String::new();
     }
+    let told = format!(", {ticks} ticks, {late} late, {missed} lost wake-ups");
+    match status.counters.get(LONGEST_DELAY_NS) {
+        Some(&delay_ns) if delay_ns > 0 => {
+            let (delay_ms, skipped) = (delay_ns as f64 / 1e6, skipped_periods(status));
+            told + &format!(", frames up to {delay_ms:.1} ms after due, {skipped} periods skipped")
+        }
+        _ => told,
+    }
+}
+
+fn skipped_periods(status: &StatMsg) -> u64 {
+    status.counters.get(SKIPPED_PERIODS).copied().unwrap_or(0)
 }
 
 /// What runs its network, where that is no plan.
@@ -279,6 +294,11 @@ fn examine_process(status: &StatMsg) -> Finding {
     );
     if status.has(StatMsg::DEGRADED) {
         let advice = "look at the allocators: agents act without an allocation";
+        return Finding::new(Severity::Warning, "process", found, advice);
+    }
+    if status.role == Role::World as u8 && skipped_periods(status) > 0 {
+        let advice =
+            "look what stops it or keeps the machine busy, or lower its rate: periods were skipped";
         return Finding::new(Severity::Warning, "process", found, advice);
     }
     if missed == 0 {

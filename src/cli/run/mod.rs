@@ -1,5 +1,6 @@
 //! `sortie run`: deploys a bundle's team in a built-in world.
 
+mod figures;
 mod onlooker;
 mod picture;
 pub(crate) mod process;
