@@ -179,7 +179,8 @@ pub struct Common {
     pub quiet: bool,
 }
 
-fn whole_number(text: &str) -> Result<u64, String> {
+/// A value of a flag.
+pub fn whole_number(text: &str) -> Result<u64, String> {
     text.parse().map_err(|_| format!("expected a whole number from 0 to {}", u64::MAX))
 }
 

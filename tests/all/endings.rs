@@ -106,6 +106,7 @@ fn two_signals_in_a_row_leave_a_training_its_checkpoint() {
     interrupt_twice(&child);
     let told = ended(child);
     assert_fails(&told, 130, &["stopped", "--resume"]);
+    assert!(stderr(&told).contains("stopping after this update"), "{}", stderr(&told));
     let names: Vec<String> = fs::read_dir(run.join("checkpoints"))
         .expect("its checkpoints")
         .map(|entry| entry.expect("a checkpoint").file_name().to_string_lossy().into_owned())

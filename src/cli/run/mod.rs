@@ -90,8 +90,8 @@ fn positive_seconds(text: &str) -> Result<f64, String> {
 
 fn rate(text: &str) -> Result<f64, String> {
     match text.parse() {
-        Ok(hz) if (0.0..=1e6).contains(&hz) => Ok(hz),
-        _ => Err("expected ticks a second, from 0 to 1000000".to_string()),
+        Ok(hz) if hz == 0.0 || (0.001..=1e6).contains(&hz) => Ok(hz),
+        _ => Err("expected 0, or ticks a second from 0.001 to 1000000".to_string()),
     }
 }
 
