@@ -10,15 +10,20 @@ use serde::Serialize;
 use sortie_learn::evaluate::Score;
 use sortie_learn::report::numbers::{count, duration};
 use sortie_learn::report::{self, Comparison, Group, GroupSummary, Reached, RunRecord};
+use sortie_learn::run::Difference;
 
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Common, Table, print_json, tell};
 
+/// What a run notes of itself that says nothing of how it learns.
+const CIRCUMSTANCES: [&str; 4] = ["seed", "threads", "version", "run.products"];
+
 /// Compare training runs, several seeds to a label, as tables and pictures
 ///
 /// Runs are finished or still learning. Those whose folders differ only in `-s<seed>` at the end of their names are one
-/// label. The folder gets `curves-steps.svg`, `curves-cpu.svg`, `table.md`, `table.csv`, `table.json` and, where runs
-/// have a `result.json`, success by team in `teams.svg` and `teams.csv`.
+/// label; where their settings differ in more than the seed they are refused. The folder gets `curves-steps.svg`,
+/// `curves-cpu.svg`, `table.md`, `table.csv`, `table.json` and, where runs have a `result.json`, success by team in
+/// `teams.svg` and `teams.csv`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie compare runs/alma-s1 runs/alma-s2 runs/random-s1 --out comparison
@@ -86,6 +91,7 @@ fn groups(arguments: &CompareArguments) -> Result<Vec<Group>, Failure> {
     }
     for group in &mut groups {
         group.runs.sort_by_key(|run| (run.seed, run.name()));
+        check(group)?;
     }
     Ok(groups)
 }
@@ -93,10 +99,41 @@ fn groups(arguments: &CompareArguments) -> Result<Vec<Group>, Failure> {
 /// Adds a run to its group, once.
 fn add(groups: &mut Vec<Group>, label: String, run: RunRecord) {
     match groups.iter_mut().find(|group| group.label == label) {
-        Some(group) if group.runs.iter().any(|other| other.folder == run.folder) => {}
+        Some(group) if group.runs.iter().any(|other| is_same(&other.folder, &run.folder)) => {}
         Some(group) => group.runs.push(run),
         None => groups.push(Group { label, runs: vec![run] }),
     }
+}
+
+/// Whether two paths lead to one folder.
+fn is_same(one: &Path, other: &Path) -> bool {
+    one == other || matches!((one.canonicalize(), other.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Refuses to average runs that differ in more than their seeds and circumstances.
+fn check(group: &Group) -> Outcome {
+    let Some((first, others)) = group.runs.split_first() else { return Ok(()) };
+    for run in others {
+        if let Some(Difference { key, ours, theirs }) = difference(first, run) {
+            let [first, run] = [first, run].map(|run| run.folder.display());
+            let reason = format!(
+                "runs of `{}` differ: `{key}` is {ours} in {first}, {theirs} in {run}; keep them apart with `--label \
+                 NAME=FOLDER`",
+                group.label
+            );
+            return Err(Failure::new(Exit::Usage, reason));
+        }
+    }
+    Ok(())
+}
+
+/// The first setting in which runs differ that both say how they learn.
+fn difference(one: &RunRecord, other: &RunRecord) -> Option<Difference> {
+    if one.description.is_empty() || other.description.is_empty() {
+        return None;
+    }
+    let differences = Difference::between_tables(&one.description, &other.description);
+    differences.into_iter().find(|found| !CIRCUMSTANCES.contains(&found.key.as_str()))
 }
 
 /// The runs that a folder or a pattern means.
@@ -169,7 +206,11 @@ fn cells(group: &GroupSummary, score: Score, levels: &[&String]) -> Vec<String> 
         count(group.env_steps.mean),
         duration(group.cpu_s.mean),
     ];
-    for until in levels.iter().filter_map(|level| group.until.get(*level)) {
+    for level in levels {
+        let Some(until) = group.until.get(*level) else {
+            cells.push(String::new());
+            continue;
+        };
         let mean = until.cpu_s.map(|Reached { mean, .. }| duration(mean));
         cells.push(match mean {
             None => "never".to_owned(),

@@ -70,6 +70,23 @@ impl Exit {
     }
 }
 
+impl Exit {
+    /// Of a file that could not be read or written.
+    fn of_file(error: &std::io::Error) -> Self {
+        match error.kind() {
+            ErrorKind::NotFound => Self::Missing,
+            ErrorKind::Interrupted => Self::Interrupted,
+            // What the system did not say, this program found in the file.
+            ErrorKind::InvalidData | ErrorKind::InvalidInput | ErrorKind::FileTooLarge
+                if error.raw_os_error().is_none() =>
+            {
+                Self::BadData
+            }
+            _ => Self::InputOutput,
+        }
+    }
+}
+
 impl Failure {
     pub fn new(exit: Exit, message: impl Into<String>) -> Self {
         Self { exit, message: message.into() }
@@ -77,11 +94,10 @@ impl Failure {
 
     /// Reading or writing `path` failed.
     pub fn file(path: &Path, error: &std::io::Error) -> Self {
-        let exit = match error.kind() {
-            ErrorKind::NotFound => Exit::Missing,
-            _ => Exit::InputOutput,
-        };
-        Self::new(exit, format!("{}: {error}", path.display()))
+        if error.kind() == ErrorKind::Interrupted {
+            return Self::new(Exit::Interrupted, "interrupted");
+        }
+        Self::new(Exit::of_file(error), format!("{}: {error}", path.display()))
     }
 
     /// Something that this program got wrong by itself.
@@ -122,10 +138,7 @@ impl From<LearnError> for Failure {
             LearnError::Busy { .. } => Exit::Busy,
             LearnError::Products { .. } => Exit::NotRunning,
             LearnError::Diverged { .. } => Exit::Diverged,
-            LearnError::File { source, .. } if source.kind() == ErrorKind::NotFound => {
-                Exit::Missing
-            }
-            LearnError::File { .. } => Exit::InputOutput,
+            LearnError::File { source, .. } => Exit::of_file(source),
             LearnError::Format { .. } | LearnError::Syntax { .. } => Exit::BadData,
             LearnError::Misfit(_) | LearnError::Environment(_) | LearnError::Choice(_) => {
                 Exit::Usage
@@ -145,6 +158,9 @@ impl From<sortie_ipc::Error> for Failure {
             }
             Error::OtherTeam { .. } => {
                 "; choose another domain with `--domain NAME`, or join its team with `--mix-teams`"
+            }
+            Error::OtherRate { .. } => {
+                "; choose another domain with `--domain NAME`, or end that team with `sortie control shut-down`"
             }
             _ => "",
         };

@@ -6,7 +6,7 @@ use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use sortie_bundle::files::{Durability, check_writable, replace_file};
+use sortie_bundle::files::{Durability, check_writable, read_file, replace_file};
 use sortie_bundle::{Bundle, Recording};
 use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_envs::golden::{Labels, Record, StartRecording};
@@ -15,6 +15,9 @@ use sortie_learn::LearnError;
 use sortie_learn::play::{Onlooker, Watched};
 
 use crate::failure::{Exit, Failure, Outcome};
+
+/// The largest file of observations that is read.
+const MOST_RECORDED_BYTES: u64 = 1 << 30;
 
 /// What a file holds, by its first bytes. A file that is there already is replaced by one of its own kind only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,7 +119,8 @@ impl Policy for RecordingPolicy<'_> {
 
 /// Reads a file of observations, whatever they are of.
 pub fn read_any_recording(path: &Path) -> Result<Recording, Failure> {
-    let bytes = fs::read(path).map_err(|error| Failure::file(path, &error))?;
+    let bytes =
+        read_file(path, MOST_RECORDED_BYTES).map_err(|error| Failure::file(path, &error))?;
     Recording::from_bytes(&bytes)
         .map_err(|error| Failure::new(Exit::BadData, error.to_string()).within(path.display()))
 }

@@ -1,10 +1,10 @@
 //! What is said on the command line about a policy that somebody else exported.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use sortie_bundle::PolicyRoles;
+use sortie_bundle::files::{MOST_TEXT_BYTES, read_file};
 use sortie_plans::PolicyOptions;
 
 use crate::failure::{Exit, Failure};
@@ -57,7 +57,7 @@ impl PolicyArguments {
             None if onnx.is_file() && beside.is_file() => &beside,
             None => return Ok(self.options()),
         };
-        let text = fs::read(file).map_err(|error| Failure::file(file, &error))?;
+        let text = read_file(file, MOST_TEXT_BYTES).map_err(|error| Failure::file(file, &error))?;
         let roles = PolicyRoles::from_toml(&text)
             .map_err(|reason| Failure::new(Exit::BadData, reason).within(file.display()))?;
         let (said, written) = (self.options(), PolicyOptions::from(roles));

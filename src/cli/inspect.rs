@@ -64,7 +64,10 @@ pub(crate) fn run(arguments: &InspectArguments) -> Outcome {
     let (path, json) = (&arguments.file, arguments.common.json);
     let is_run = path.join(TRAINING).exists() && !path.join(MANIFEST).exists();
     if is_run || path.is_dir() || !path.exists() {
-        arguments.refuse_policy()?;
+        // What is not there is worse than flags that it has no use for.
+        if path.exists() {
+            arguments.refuse_policy()?;
+        }
         return if is_run { run::inspect(path, json) } else { inspect_bundle(path, json) };
     }
     let bytes = read_onnx(path).map_err(|error| Failure::file(path, &error))?;

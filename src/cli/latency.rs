@@ -50,9 +50,40 @@ impl Latency {
     }
 }
 
+/// How far samples are from their mean, from one to the next (Welford).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Spread {
+    samples: u64,
+    mean: f64,
+    /// Sum of the squared distances.
+    squares: f64,
+}
+
+impl Spread {
+    pub fn record(&mut self, value: f64) {
+        self.samples += 1;
+        let distance = value - self.mean;
+        self.mean += distance / self.samples as f64;
+        self.squares += distance * (value - self.mean);
+    }
+
+    /// Standard deviation; zero without samples.
+    pub fn deviation(&self) -> f64 {
+        (self.squares / self.samples.max(1) as f64).sqrt()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_spread_is_the_standard_deviation() {
+        let mut spread = Spread::default();
+        assert_eq!(spread.deviation(), 0.0);
+        [2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0].map(|value| spread.record(value));
+        assert_eq!(spread.deviation(), 2.0);
+    }
 
     #[test]
     fn the_far_tail_is_shown_only_with_enough_samples() {

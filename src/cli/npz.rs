@@ -3,16 +3,12 @@
 //! Every length in such a file is only claimed: nothing is read or reserved beyond the file's own bytes.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
+use sortie_bundle::files::{MOST_BYTES, read_file};
 use sortie_plans::{PolicyFacts, RecordedCase};
 
 use crate::failure::{Exit, Failure};
-
-/// The largest file that is read.
-const MOST_BYTES: u64 = 256 << 20;
 
 /// The arrays of a file by name.
 pub type Arrays = BTreeMap<String, Array>;
@@ -27,13 +23,7 @@ pub struct Array {
 
 pub fn read(path: &Path) -> Result<Arrays, Failure> {
     let failed = |error: std::io::Error| Failure::file(path, &error);
-    let file = File::open(path).map_err(failed)?;
-    let mut bytes = Vec::new();
-    file.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(failed)?;
-    if bytes.len() as u64 > MOST_BYTES {
-        let reason = format!("is larger than {} MiB: save fewer cases", MOST_BYTES >> 20);
-        return Err(Failure::new(Exit::BadData, format!("{} {reason}", path.display())));
-    }
+    let bytes = read_file(path, MOST_BYTES).map_err(failed)?;
     arrays(&bytes)
         .map_err(|reason| Failure::new(Exit::BadData, format!("{}: {reason}", path.display())))
 }

@@ -39,7 +39,8 @@ pub fn say_line(line: fmt::Arguments<'_>) {
 }
 
 pub fn tell_line(line: fmt::Arguments<'_>) {
-    let _ = writeln!(io::stderr(), "{line}");
+    // At once: others write there as well, and a line is theirs or ours.
+    let _ = io::stderr().write_all(format!("{line}\n").as_bytes());
 }
 
 fn remember(written: io::Result<()>) {
@@ -178,7 +179,8 @@ pub struct Common {
     pub quiet: bool,
 }
 
-fn whole_number(text: &str) -> Result<u64, String> {
+/// A value of a flag.
+pub fn whole_number(text: &str) -> Result<u64, String> {
     text.parse().map_err(|_| format!("expected a whole number from 0 to {}", u64::MAX))
 }
 

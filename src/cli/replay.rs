@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde::Serialize;
+use sortie_bundle::files::{MOST_BYTES, read_text};
 use sortie_envs::golden::{self, GoldenError, Mismatch};
 
 use crate::failure::{Exit, Failure, Outcome};
@@ -35,8 +36,9 @@ struct Report {
 pub(crate) fn run(arguments: &ReplayArguments) -> Outcome {
     let mut report = Report { files: 0, steps: 0, mismatches: Vec::new() };
     for path in &episodes(&arguments.files)? {
-        let replay =
-            golden::replay_file(path).map_err(|error| unreadable(error).within(path.display()))?;
+        let text = read_text(path, MOST_BYTES).map_err(|error| Failure::file(path, &error))?;
+        let replay = golden::replay(&path.display().to_string(), &text)
+            .map_err(|error| unreadable(error).within(path.display()))?;
         report.files += 1;
         report.steps += replay.steps;
         report.mismatches.extend(replay.mismatches);
@@ -94,11 +96,6 @@ pub(crate) fn difference(first: &Mismatch, count: usize) -> Failure {
 
 /// A recording that cannot be read, as a failure.
 pub(crate) fn unreadable(error: GoldenError) -> Failure {
-    let exit = match &error {
-        GoldenError::Read(source) if source.kind() == std::io::ErrorKind::NotFound => Exit::Missing,
-        GoldenError::Read(_) => Exit::InputOutput,
-        _ => Exit::BadData,
-    };
     let reason = std::error::Error::source(&error).map(|source| format!(": {source}"));
-    Failure::new(exit, format!("{error}{}", reason.unwrap_or_default()))
+    Failure::new(Exit::BadData, format!("{error}{}", reason.unwrap_or_default()))
 }

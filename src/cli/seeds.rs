@@ -3,6 +3,9 @@
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
+/// The most seeds that one command learns.
+const MOST: u64 = 10_000;
+
 /// Seeds from the first to the last, both included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SeedRange {
@@ -28,9 +31,13 @@ impl FromStr for SeedRange {
     fn from_str(text: &str) -> Result<Self, String> {
         let expected = || format!("`{text}` is no range of seeds such as 1..5");
         let (first, last) = text.split_once("..").ok_or_else(expected)?;
-        let number = |text: &str| text.parse().map_err(|_| expected());
+        let number = |text: &str| text.parse::<u64>().map_err(|_| expected());
         let (first, last) = (number(first)?, number(last)?);
-        if first <= last { Ok(Self { first, last }) } else { Err(expected()) }
+        match u64::checked_sub(last, first) {
+            None => Err(expected()),
+            Some(more) if more >= MOST => Err(format!("`{text}` are more than {MOST} seeds")),
+            Some(_) => Ok(Self { first, last }),
+        }
     }
 }
 
@@ -43,7 +50,9 @@ mod tests {
         assert_eq!("1..5".parse(), Ok(SeedRange { first: 1, last: 5 }));
         assert_eq!("3..3".parse(), Ok(SeedRange { first: 3, last: 3 }));
         assert_eq!(SeedRange { first: 7, last: 9 }.iter().collect::<Vec<_>>(), [7, 8, 9]);
-        for wrong in ["5..1", "1", "a..b", "1..", "-1..2"] {
+        assert!("1..10000".parse::<SeedRange>().is_ok());
+        assert!("18446744073709551615..18446744073709551615".parse::<SeedRange>().is_ok());
+        for wrong in ["5..1", "1", "a..b", "1..", "-1..2", "1..10001", "0..18446744073709551615"] {
             assert!(SeedRange::from_str(wrong).is_err(), "{wrong}");
         }
     }

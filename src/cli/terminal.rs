@@ -237,7 +237,12 @@ fn axis(end: f64, left: usize, width: usize) -> [String; 2] {
 
 /// A flag that the first signal sets; one that comes half a second later, or after that, ends the program at once.
 pub fn stop_on_signals() -> Result<Stop, Failure> {
-    Stop::on_signals()
+    stop_saying("")
+}
+
+/// The same; these words are told as soon as the signal comes.
+pub fn stop_saying(words: &'static str) -> Result<Stop, Failure> {
+    Stop::on_signals_saying(words)
         .map_err(|error| Failure::new(Exit::InputOutput, format!("signal handlers: {error}")))
 }
 

@@ -1,10 +1,10 @@
 //! `sortie view`: one episode as a page to look at, step by step.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
+use sortie_bundle::files::{MOST_BYTES, read_file, read_text};
 use sortie_envs::golden;
 
 use crate::allocation::AllocatorChoice;
@@ -123,7 +123,7 @@ fn live(arguments: &ViewArguments) -> Outcome {
 }
 
 fn read(file: &Path) -> Result<Vec<u8>, Failure> {
-    fs::read(file).map_err(|error| Failure::file(file, &error))
+    read_file(file, MOST_BYTES).map_err(|error| Failure::file(file, &error))
 }
 
 fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
@@ -157,7 +157,7 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
     if arguments.episode.is_some() || arguments.env.is_some() {
         return Err(usage("--episode and --env choose what is played, but this is a recording"));
     }
-    let text = fs::read_to_string(file).map_err(|error| Failure::file(file, &error))?;
+    let text = read_text(file, MOST_BYTES).map_err(|error| Failure::file(file, &error))?;
     let entry = golden::environment(&text)
         .map_err(|error| replay::unreadable(error).within(file.display()))?;
     view_of(entry.name).recorded(&wanted(arguments), &text)

@@ -68,6 +68,10 @@ fn a_path_need_not_be_text() {
 #[test]
 fn what_is_no_bundle_is_explained() {
     assert_fails(&output(&["inspect", "/nowhere"]), 66, &["`/nowhere` does not exist"]);
+    let named = output(&["inspect", "/nowhere", "--output", "actions"]);
+    assert_fails(&named, 66, &["`/nowhere` does not exist"]);
+    let steps = output(&["train", "alma", "--steps=-5"]);
+    assert_fails(&steps, 2, &["expected a whole number from 0"]);
     let advice = ["`/nowhere` does not exist", "lie in `models/`", "`sortie export RUN` makes one"];
     assert_fails(&output(&["run", "/nowhere"]), 66, &advice);
     assert_fails(&output(&["run", "models"]), 66, &["models/save-the-city,", "name one of"]);

@@ -2,10 +2,13 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::{Child, Stdio};
 
 use sortie_bundle::{hex, sha256};
 
-use crate::support::{self, BUNDLE, TestDomain, assert_fails, copied_bundle, output, sortie};
+use crate::support::{
+    self, BUNDLE, TestDomain, assert_fails, copied_bundle, interrupt, output, sortie, wait_until,
+};
 
 fn path_of(path: &Path) -> String {
     path.display().to_string()
@@ -290,4 +293,79 @@ fn a_printed_configuration_is_a_file_to_learn_by() {
         fs::write(&file, &text).expect("a file");
         assert_eq!(print(&["--config", &file]), text);
     }
+}
+
+/// The verbs that read a file, up to its name.
+const READERS: [&[&str]; 5] = [
+    &["replay"],
+    &["inspect"],
+    &["serve"],
+    &["compile", "-o", "never.plan"],
+    &["train", "alma", "--out", "never", "--config"],
+];
+
+#[test]
+fn what_may_never_end_is_not_read() {
+    for verb in READERS {
+        let refused = output(&[verb, &["/dev/zero"]].concat());
+        assert_fails(&refused, 65, &["/dev/zero", "is a device"]);
+    }
+    let npz = ["verify", "models/save-the-city/agent.onnx", "--npz", "/dev/zero"];
+    assert_fails(&output(&npz), 65, &["/dev/zero", "is a device"]);
+}
+
+/// A pipe that nobody writes to.
+fn mute_pipe(folder: &Path) -> String {
+    let path = folder.join("pipe");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &path, rustix::fs::Mode::RWXU).expect("a pipe");
+    path_of(&path)
+}
+
+/// Whether a process sleeps.
+fn is_asleep(child: &Child) -> bool {
+    let line = fs::read_to_string(format!("/proc/{}/stat", child.id())).unwrap_or_default();
+    line.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('S')) && is_reading(child)
+}
+
+/// Whether a process has the pipe open.
+fn is_reading(child: &Child) -> bool {
+    let names = fs::read_dir(format!("/proc/{}/fd", child.id())).into_iter().flatten().flatten();
+    let mut open = names.filter_map(|entry| fs::read_link(entry.path()).ok());
+    open.any(|target| target.file_name().is_some_and(|name| name == "pipe"))
+}
+
+#[test]
+fn the_first_interrupt_ends_whoever_waits_for_a_pipe() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let pipe = mute_pipe(folder.path());
+    for verb in [READERS[0], READERS[2], READERS[4]] {
+        let arguments = [verb, &[pipe.as_str()]].concat();
+        let mut child = sortie(&arguments).stderr(Stdio::null()).spawn().expect("it starts");
+        wait_until("it waits", || is_asleep(&child));
+        interrupt(&child);
+        wait_until("it ends", || child.try_wait().expect("its status").is_some());
+        let ended = child.wait().expect("its status");
+        assert!([Some(130), None].contains(&ended.code()), "{verb:?}: {ended}");
+    }
+}
+
+#[test]
+fn a_pipe_is_as_good_as_the_file_in_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let pipe = mute_pipe(folder.path());
+    let episode = "tests/golden/save-the-city/001-2a-BF-scripted.json";
+    let reader = sortie(&["replay", &pipe]).stdout(Stdio::piped()).spawn().expect("it starts");
+    fs::write(&pipe, fs::read(episode).expect("an episode")).expect("a reader");
+    let told = reader.wait_with_output().expect("its output");
+    assert!(String::from_utf8_lossy(&told.stdout).contains("all equal"));
+}
+
+#[test]
+fn counts_and_rates_have_limits() {
+    let run = |rate: &str| output(&["run", BUNDLE, &format!("--rate={rate}")]);
+    for rate in ["1e-300", "-1", "NaN", "1e300", "0.0001"] {
+        assert_fails(&run(rate), 2, &["ticks a second from 0.001 to 1000000"]);
+    }
+    let seeds = ["train", "alma", "--out", "never", "--seeds", "1..18446744073709551615"];
+    assert_fails(&output(&seeds), 2, &["more than 10000 seeds"]);
 }

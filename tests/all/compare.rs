@@ -45,6 +45,29 @@ fn runs_are_grouped_by_label_and_pattern() {
 }
 
 #[test]
+fn runs_of_other_settings_are_not_averaged_and_one_run_counts_once() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    for (name, seed, width) in [("mix-s1", 1, 64), ("mix-s2", 2, 64), ("mix-s3", 3, 32)] {
+        let folder = place.path().join(name);
+        made_up_run(&folder, 0.5);
+        let text = format!(
+            "method = \"alma\"\nversion = \"0.{seed}.0\"\nseed = {seed}\nthreads = {seed}\n[network]\nwidth = {width}\n"
+        );
+        fs::write(folder.join("train.toml"), text).expect("its settings");
+    }
+    let out = path("out");
+    let [first, second, third] = ["mix-s1", "mix-s2", "mix-s3"].map(path);
+    let refused = output(&["compare", &first, &second, &third, "--out", &out]);
+    let words = ["runs of `mix` differ", "`network.width` is 64", "32 in", "mix-s3", "--label"];
+    assert_fails(&refused, 2, &words);
+    assert!(!Path::new(&out).exists());
+    let around = place.path().join("mix-s2/../mix-s1").display().to_string();
+    let report = json(&["compare", &first, &around, &second, "--out", &out, "--json"]);
+    assert_eq!(report["groups"][0]["runs"], 2);
+}
+
+#[test]
 fn what_cannot_be_compared_is_named() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let out = place.path().join("out").display().to_string();
@@ -100,4 +123,12 @@ fn a_run_leaves_its_curve_in_every_form() {
     for part in ["network", "95 % interval", "1.0 ┤", "final evaluation: success"] {
         assert!(text.contains(part), "no `{part}` in {text}");
     }
+    // As a run is before its first evaluation.
+    for name in ["curve.json", "result.json"] {
+        fs::remove_file(run.join(name)).expect(name);
+    }
+    let begun = output(&["inspect", &folder]);
+    let text = String::from_utf8_lossy(&begun.stdout).into_owned();
+    assert!(text.contains("network.width=32") && text.contains("not evaluated yet"), "{text}");
+    assert_eq!(json(&["inspect", &folder, "--json"])["configuration"]["network"]["width"], 32);
 }

@@ -153,7 +153,7 @@ fn another_user_reaches_nothing_of_a_running_team() {
         eprintln!("NOT TESTED as another user: only the superuser can be somebody else");
         return;
     }
-    let domain = TestDomain::new("stranger");
+    let domain = TestDomain::new("other");
     let team = Playing::start(&domain, &["--isolate"]);
     let mut paths = Vec::new();
     domain.leftovers().into_iter().for_each(|path| collect(path, &mut paths));

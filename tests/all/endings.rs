@@ -11,7 +11,8 @@ use rustix::process::{Pid, Signal, kill_process_group};
 use serde_json::Value;
 
 use crate::support::{
-    BUNDLE, SMALL, TestDomain, assert_fails, interrupt, kill, output, sortie, stderr, wait_until,
+    BUNDLE, SMALL, TestDomain, assert_fails, interrupt, kill, output, resume, sortie, stderr, stop,
+    wait_until,
 };
 
 /// Two signals to the whole group, milliseconds apart, as `timeout` and terminals send them.
@@ -105,6 +106,7 @@ fn two_signals_in_a_row_leave_a_training_its_checkpoint() {
     interrupt_twice(&child);
     let told = ended(child);
     assert_fails(&told, 130, &["stopped", "--resume"]);
+    assert!(stderr(&told).contains("stopping after this update"), "{}", stderr(&told));
     let names: Vec<String> = fs::read_dir(run.join("checkpoints"))
         .expect("its checkpoints")
         .map(|entry| entry.expect("a checkpoint").file_name().to_string_lossy().into_owned())
@@ -129,7 +131,7 @@ fn a_team_whose_report_nobody_reads_is_done_all_the_same() {
         assert_eq!(ended.status.code(), Some(code), "{told}");
         assert_eq!(told.matches("the world started").count(), 1, "{told}");
         assert_eq!(told.matches("error: ").count(), usize::from(code == 74), "{told}");
-        assert!(!told.contains("panicked"), "{told}");
+        assert!(!told.contains("panicked") && !told.contains("error: the runner"), "{told}");
         assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
     }
 }
@@ -234,6 +236,43 @@ fn a_run_that_is_interrupted_reports_what_was_played() {
     let told = ended(child);
     assert_eq!(told.status.code(), Some(130));
     assert!(report(&told)["episodes"].as_u64() > Some(0));
+}
+
+/// The number that stands before these words.
+fn number_before(text: &str, words: &str) -> f64 {
+    let before = text.split(words).next().unwrap_or_default();
+    let number = before.split_whitespace().next_back().and_then(|word| word.parse().ok());
+    number.unwrap_or_else(|| panic!("no number before `{words}`: {text}"))
+}
+
+#[test]
+fn a_world_that_stood_still_tells_for_how_long_and_what_was_skipped() {
+    let domain = TestDomain::new("late");
+    let mut command = sortie(&["run", BUNDLE, "--domain", &domain.id, "--episodes", "3"]);
+    command.args(["--rate", "200"]);
+    let (child, mut lines) = started(command, "episode   1");
+    stop(child.id());
+    let stopped = Instant::now();
+    // A second: the world does not answer.
+    output(&["control", "info", "--domain", &domain.id]);
+    let stood_ms = stopped.elapsed().as_secs_f64() * 1000.0;
+    resume(child.id());
+    let mut told = String::new();
+    lines.read_to_string(&mut told).expect("its standard error");
+    let ended = ended(child);
+    assert_eq!(ended.status.code(), Some(0), "{told}");
+    let text = String::from_utf8_lossy(&ended.stdout).into_owned();
+    // It may have stopped a little after it was told to.
+    assert!(number_before(&text, " periods skipped") > stood_ms / 5.0 / 2.0, "{text}");
+    assert!(
+        number_before(&text, " s, pace 200 ticks a second") > stood_ms / 1000.0 / 2.0,
+        "{text}"
+    );
+    for row in ["frame after due", "frame to frame"] {
+        let row = text.lines().find(|line| line.starts_with(row)).expect("a row of latencies");
+        let max_us = row.split_whitespace().rev().nth(1).and_then(|max| max.parse().ok());
+        assert!(max_us > Some(stood_ms * 1000.0 / 2.0), "{row}");
+    }
 }
 
 /// Processor time of a process, in hundredths of a second.

@@ -9,7 +9,9 @@ use sortie_core::plan::{AlignedBytes, Given, Plan};
 use sortie_core::wire::{AnswerStatus, Reason};
 use sortie_ipc::{ClientSettings, Domain, Expected, PolicyClient, PolicySchema};
 
-use crate::support::{TestDomain, assert_fails, interrupt, output, sortie, stderr, wait_until};
+use crate::support::{
+    BUNDLE, TestDomain, assert_fails, interrupt, json, output, sortie, stderr, wait_until,
+};
 
 const CART: &str = "examples/embed_c/cart.plan";
 const CART_SHAPE: Expected<'_> =
@@ -71,6 +73,24 @@ fn a_plan_is_served_until_ctrl_c() {
         .map(|name| summary[name].as_u64());
     assert_eq!(counts, [20, 1, 1, 0, 0, 0].map(Some), "{summary}");
     assert!(summary["decide_us"]["p50"].as_f64() > Some(0.0), "{summary}");
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn a_team_that_has_ended_is_not_missed_while_a_policy_is_served() {
+    let domain = TestDomain::new("both");
+    let server = serve(CART, &domain);
+    drop(connect(&domain, &CART_SHAPE));
+    let team = ["run", BUNDLE, "--domain", &domain.id, "--episodes", "1", "--rate", "0"];
+    let played = output(&team);
+    assert!(played.status.success(), "{}", stderr(&played));
+    let examined = json(&["doctor", "--domain", &domain.id, "--json"]);
+    assert_eq!(examined["problems"], 0, "{examined}");
+    let found = examined["findings"].as_array().expect("findings");
+    let teams = found.iter().filter(|finding| finding["check"] == "team");
+    let told: Vec<&Value> = teams.map(|finding| &finding["found"]).collect();
+    assert_eq!(told, ["none: the last one has ended"]);
+    summary(server);
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 

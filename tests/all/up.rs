@@ -107,7 +107,8 @@ fn a_killed_supervisor_leaves_a_team_that_the_next_one_looks_after() {
     first.child.wait().expect("its status");
     let mut second = Up::start(&domain, &["--standbys", "0"]);
     // Its own runner finds the seats taken, until they are free.
-    second.await_line(&["the runner of agent", "ended with exit code 75", "starts again"]);
+    let behind = second.await_line(&["the runner of agent", "stands by behind process"]);
+    assert_eq!(pid(&behind), started[1]);
     kill(started[1]);
     let runner = pid(&second.await_line(&["the runner of agent", "joined"]));
     assert_ne!(runner, started[1]);
@@ -115,6 +116,56 @@ fn a_killed_supervisor_leaves_a_team_that_the_next_one_looks_after() {
     for pid in [started[0], started[2]] {
         terminate(pid);
     }
+    wait_until("all have left", || domain.leftovers().is_empty());
+}
+
+#[test]
+fn a_second_team_stands_by_says_so_once_and_takes_over() {
+    let domain = TestDomain::new("upsecond");
+    let mut first = Up::start(&domain, &["--rate", "200"]);
+    first.await_line(&["the world joined"]);
+    first.await_line(&["the runner of agent", "joined"]);
+    for (rate, words) in
+        [("50", "this one would at 50 Hz"), ("0", "this one would as fast as it acts")]
+    {
+        let refused = output(&["up", BUNDLE, "--domain", &domain.id, "--rate", rate]);
+        assert_fails(&refused, 75, &["has a team that runs at 200 Hz", words, "--domain NAME"]);
+        assert!(!stderr(&refused).contains("started"), "at once: {}", stderr(&refused));
+    }
+    let mut second = Up::start(&domain, &["--rate", "200"]);
+    second.await_line(&["the world stands by behind process"]);
+    second.await_line(&["the runner of agent", "stands by behind process"]);
+    // Nothing of a place that is taken, however long that is so.
+    first.await_line(&["episode   4 of 60"]);
+    json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
+    second.await_line(&["the world started"]);
+    second.await_line(&["the world joined"]);
+    for words in [&["stands by"][..], &["exit code"], &["error: "]] {
+        assert_eq!(second.lines_with(words), 0, "{:?}", second.unclaimed);
+    }
+    assert_eq!(first.child.wait().expect("its status").code(), Some(0));
+    assert_eq!(second.end(), Some(130));
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn whom_world_and_supervisor_left_are_ended_by_control() {
+    let domain = TestDomain::new("uporphans");
+    let mut up = Up::start(&domain, &["--rate", "200"]);
+    let world = pid(&up.await_line(&["the world joined"]));
+    up.await_line(&["the runner of agent", "joined"]);
+    up.await_line(&["leads the allocators"]);
+    kill(up.child.id());
+    kill(world);
+    up.child.wait().expect("its status");
+    let other = ["run", BUNDLE, "--domain", &domain.id, "--episodes", "1"];
+    let words = ["has a team that runs at 200 Hz", "sortie control shut-down"];
+    assert_fails(&output(&other), 75, &words);
+    let told = json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
+    let processes = told["processes"].as_array().expect("processes");
+    assert_eq!(processes.iter().filter(|process| process["role"] == "allocator").count(), 2);
+    assert!(processes.iter().any(|process| process["role"] == "runner"), "{told}");
+    assert!(processes.iter().all(|process| process["outcome"] == "done"), "{told}");
     wait_until("all have left", || domain.leftovers().is_empty());
 }
 
@@ -206,6 +257,12 @@ fn a_doctor_names_what_is_missing() {
     let mut up = Up::start(&domain, &["--restart", "never", "--isolate", "--standbys", "0"]);
     let runner = pid(&up.await_line(&["the runner of agent 1 joined"]));
     up.await_line(&["leads the allocators"]);
+    let stopped = pid(&up.await_line(&["the runner of agent 2 joined"]));
+    stop(stopped);
+    let examined = output(&["doctor", "--domain", &domain.id]);
+    let told = String::from_utf8_lossy(&examined.stdout).into_owned();
+    assert!(told.contains(&format!("process {stopped} has the seats of agents 2, ")), "{told}");
+    resume(stopped);
     kill(runner);
     up.await_line(&["the runner of agent 1 was killed by signal 9"]);
     let examined = output(&["doctor", "--domain", &domain.id]);

@@ -6,7 +6,7 @@ use std::{fs, io};
 
 use crate::contract::{ContractV1, OptionsContract};
 use crate::error::BundleError;
-use crate::files::{hex, sha256};
+use crate::files::{self, MOST_BYTES, hex, sha256};
 use crate::golden::{Golden, MIN_ALLOCATIONS, MIN_CASES};
 use crate::manifest::{
     AGENT, AgentGraph, Contract, Environment, FORMAT, Limits, Manifest, Network, OPTION_GRAPHS,
@@ -36,9 +36,6 @@ pub const CURVE: &str = "curve.svg";
 pub const CURVE_DATA: &str = "curve.json";
 /// The resolved training configuration, with seed and version.
 pub const TRAINING: &str = "train.toml";
-
-/// Most bytes of one file. Networks of agents have thousands.
-const MOST_BYTES: u64 = 256 << 20;
 
 /// A bundle that was read and checked: every part has the hash that the manifest states.
 #[derive(Clone, Debug)]
@@ -387,7 +384,7 @@ fn read_file(path: &Path) -> Result<Vec<u8>, BundleError> {
         let (path, bytes) = (path.to_owned(), found.len());
         return Err(BundleError::TooLarge { path, bytes, max: MOST_BYTES });
     }
-    fs::read(path).map_err(failed)
+    files::read_file(path, MOST_BYTES).map_err(failed)
 }
 
 fn read_part(folder: &Path, name: &str, want: &str) -> Result<Vec<u8>, BundleError> {

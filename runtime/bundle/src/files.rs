@@ -1,14 +1,64 @@
-//! Files that are written whole or not at all, and their hashes.
+//! Files that are read within limits, and written whole or not at all; and their hashes.
 //!
 //! A file is written beside its place and moved there by one rename: whoever reads it sees the old or the new
 //! content, even after a crash. What cannot be finished is removed again.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::fs::OFlags;
 use sha2::{Digest, Sha256};
+
+/// The largest file of numbers that is read: networks, plans, recordings.
+pub const MOST_BYTES: u64 = 256 << 20;
+/// The largest file that people write: settings and descriptions.
+pub const MOST_TEXT_BYTES: u64 = 16 << 20;
+
+/// Reads a file of at most `most` bytes: a regular one, or what a pipe holds until its writers have gone.
+///
+/// # Errors
+/// Those of the system; [`InvalidInput`](io::ErrorKind::InvalidInput) for devices and sockets, which may never end;
+/// [`FileTooLarge`](io::ErrorKind::FileTooLarge); [`Interrupted`](io::ErrorKind::Interrupted) where a signal comes while
+/// a pipe is waited for.
+pub fn read_file(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let kind = fs::metadata(path)?.file_type();
+    if !kind.is_file() && !kind.is_fifo() && !kind.is_dir() {
+        let refused = "is a device or a socket, which is not read: name a file, or a pipe";
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, refused));
+    }
+    // Opening a pipe would wait for its writer, and no signal would end that.
+    let flags = OFlags::NONBLOCK.bits().cast_signed();
+    let mut file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
+    let mut bytes = Vec::new();
+    loop {
+        if kind.is_fifo() {
+            poll(&mut [PollFd::new(&file, PollFlags::IN)], None)?;
+        }
+        let before = bytes.len();
+        match Read::take(&mut file, most + 1 - before as u64).read_to_end(&mut bytes) {
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+            Err(error) => return Err(error),
+            Ok(_) if bytes.len() as u64 > most => {
+                let refused = format!("has more than {} MiB, which are not read", most >> 20);
+                return Err(io::Error::new(io::ErrorKind::FileTooLarge, refused));
+            }
+            Ok(_) => return Ok(bytes),
+        }
+    }
+}
+
+/// Reads a text, as [`read_file`] does.
+///
+/// # Errors
+/// The same; [`InvalidData`](io::ErrorKind::InvalidData) where it is no UTF-8.
+pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
+    let refused = |_| io::Error::new(io::ErrorKind::InvalidData, "is no text: it is not UTF-8");
+    String::from_utf8(read_file(path, most)?).map_err(refused)
+}
 
 /// Whether what was written must outlive a failure of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -197,6 +247,48 @@ mod tests {
         fs::write(folder.path().join("file"), "whole").unwrap();
         remove_drafts(folder.path());
         assert_eq!(names(folder.path()), ["file"]);
+    }
+
+    #[test]
+    fn files_are_read_up_to_their_limit_and_devices_never() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        let kind = |path: &Path, most| read_file(path, most).map_err(|error| error.kind());
+        assert_eq!(kind(&path, 1), Err(io::ErrorKind::NotFound));
+        fs::write(&path, [7, 0xFF]).unwrap();
+        assert_eq!(kind(&path, 2), Ok(vec![7, 0xFF]));
+        assert_eq!(kind(&path, 1), Err(io::ErrorKind::FileTooLarge));
+        assert_eq!(read_text(&path, 2).unwrap_err().kind(), io::ErrorKind::InvalidData);
+        assert_eq!(kind(folder.path(), 1), Err(io::ErrorKind::IsADirectory));
+        for device in ["/dev/zero", "/dev/null"] {
+            assert_eq!(kind(Path::new(device), 9), Err(io::ErrorKind::InvalidInput), "{device}");
+        }
+        // What says that it is empty is read all the same.
+        assert!(read_text(Path::new("/proc/self/status"), 1 << 20).unwrap().contains("Pid:"));
+    }
+
+    #[test]
+    fn pipes_are_read_until_their_writers_have_gone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pipe");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &path, rustix::fs::Mode::RWXU).unwrap();
+        let read = |most: u64, parts: &[&[u8]]| {
+            let (path, parts) = (&path, parts);
+            std::thread::scope(|scope| {
+                let reader = scope.spawn(move || read_file(path, most));
+                // A writer waits for its reader.
+                let mut writer = OpenOptions::new().write(true).open(path).unwrap();
+                // One that does not read to the end breaks the pipe.
+                let _ = parts.iter().try_for_each(|part| writer.write_all(part));
+                drop(writer);
+                reader.join().unwrap().map_err(|error| error.kind())
+            })
+        };
+        let large = vec![3; 300_000];
+        assert_eq!(read(1 << 20, &[b"one", b" and ", b"two"]), Ok(b"one and two".to_vec()));
+        assert_eq!(read(1 << 20, &[&large]), Ok(large.clone()));
+        assert_eq!(read(1 << 20, &[]), Ok(Vec::new()));
+        assert_eq!(read(299_999, &[&large]), Err(io::ErrorKind::FileTooLarge));
     }
 
     #[test]

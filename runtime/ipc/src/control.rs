@@ -14,6 +14,8 @@ use crate::process_info::ProcessInfo;
 const PATIENCE: Duration = Duration::from_secs(1);
 /// The same for what takes a process longer: networks may have to be compiled.
 const LOADING_PATIENCE: Duration = Duration::from_secs(30);
+/// A world that was killed holds its lock until the system has freed what it had.
+const DYING: Duration = Duration::from_millis(250);
 
 /// What the processes of a domain are told.
 #[derive(Clone, Copy, Debug)]
@@ -100,7 +102,29 @@ fn tell_team(
         let Some(leader) = processes.find(leads) else { return Ok(Vec::new()) };
         return ask(&mut link, format.schema, &Order { process: Some(leader.pid), ..*order });
     }
+    if order.command == Command::ShutDown && order.process.is_none() {
+        return shut_down(membership, &mut link, format.schema, order);
+    }
     ask(&mut link, format.schema, order)
+}
+
+/// A world takes its team along. Without one, or with one that does not answer, everybody is told.
+fn shut_down(
+    membership: &Membership,
+    link: &mut IoxControl,
+    schema: u64,
+    order: &Order,
+) -> Result<Vec<Answer>, Error> {
+    for patience in [DYING, PATIENCE - DYING] {
+        if !membership.has_world()? {
+            break;
+        }
+        let answers = ask_within(link, schema, order, patience)?;
+        if answers.iter().any(|answer| answer.status == Some(ControlStatus::Done)) {
+            return Ok(answers);
+        }
+    }
+    ask(link, schema, &Order { number: ControlReq::EVERYBODY, ..*order })
 }
 
 fn tell_server(
@@ -117,6 +141,16 @@ fn tell_server(
 }
 
 fn ask(link: &mut IoxControl, schema: u64, order: &Order) -> Result<Vec<Answer>, Error> {
+    let loads = order.command == Command::ReloadModel;
+    ask_within(link, schema, order, if loads { LOADING_PATIENCE } else { PATIENCE })
+}
+
+fn ask_within(
+    link: &mut IoxControl,
+    schema: u64,
+    order: &Order,
+    patience: Duration,
+) -> Result<Vec<Answer>, Error> {
     let request = ControlReq {
         arg: order.process.unwrap_or(0),
         arg64: order.number,
@@ -124,8 +158,6 @@ fn ask(link: &mut IoxControl, schema: u64, order: &Order) -> Result<Vec<Answer>,
         token: u64::from(std::process::id()),
         ..ControlReq::new(schema, order.command)
     };
-    let loads = order.command == Command::ReloadModel;
-    let patience = if loads { LOADING_PATIENCE } else { PATIENCE };
     let answers = link.ask(&request, patience)?.into_iter();
     let of_this = answers.filter(|rep| rep.fits(schema) && rep.token == request.token);
     let answers = of_this

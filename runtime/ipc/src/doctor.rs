@@ -1,6 +1,6 @@
 //! What is wrong with the machine, or with a domain.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -137,7 +137,7 @@ fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Resu
         "enough",
         "remove what fills /dev/shm, or enlarge it: `mount -o remount,size=64m /dev/shm`",
     ));
-    if let Err(error) = examine_team(membership, &facts, findings) {
+    if let Err(error) = examine_team(membership, &facts, served, findings) {
         let advice = "mend what is named above, and ask again";
         findings.push(Finding::new(Severity::Problem, "processes", error.to_string(), advice));
     }
@@ -148,6 +148,7 @@ fn examine_running(membership: &Membership, findings: &mut Vec<Finding>) -> Resu
 fn examine_team(
     membership: &Membership,
     facts: &DomainFacts,
+    is_served: bool,
     findings: &mut Vec<Finding>,
 ) -> Result<(), Error> {
     let format = facts.format()?;
@@ -160,6 +161,10 @@ fn examine_team(
         IoxWatcher::open(&setup)?
     };
     let (statuses, world) = listen(&mut watcher)?;
+    if is_served && statuses.is_empty() && !membership.has_world()? {
+        findings.push(Finding::fine("team", "none: the last one has ended"));
+        return Ok(());
+    }
     findings.push(match world {
         Frames::Come => Finding::fine("world", "sends frames"),
         Frames::Paused => Finding::new(
@@ -180,7 +185,7 @@ fn examine_team(
         ),
     });
     findings.extend(statuses.values().map(examine_process));
-    findings.push(examine_seats(&statuses, format.layout.every_agent()));
+    findings.push(examine_seats(membership, &statuses, format.layout.every_agent())?);
     findings.push(examine_allocators(&statuses, facts.has_allocation()));
     drop(watcher);
     findings.push(match dead_nodes(domain)? {
@@ -237,14 +242,29 @@ fn is_told_by_world(statuses: &BTreeMap<u32, StatMsg>) -> bool {
 
 /// Index of missed wake-ups in the counters of a status.
 const MISSED_WAKE_UPS: usize = 10;
+/// Index of the longest time that a frame of a world came after it was due.
+const LONGEST_DELAY_NS: usize = 14;
+/// Index of the periods that a world skipped.
+const SKIPPED_PERIODS: usize = 15;
 
 /// What a process has done; a supervisor takes no part in ticks.
 fn ticks(role: &str, status: &StatMsg, missed: u64) -> String {
     let [ticks, late] = [status.counters[0], status.counters[2]];
-    match role == Role::Supervisor.name() {
-        true => String::new(),
-        false => format!(", {ticks} ticks, {late} late, {missed} lost wake-ups"),
+    if role == Role::Supervisor.name() {
+        return String::new();
     }
+    let told = format!(", {ticks} ticks, {late} late, {missed} lost wake-ups");
+    match status.counters.get(LONGEST_DELAY_NS) {
+        Some(&delay_ns) if delay_ns > 0 => {
+            let (delay_ms, skipped) = (delay_ns as f64 / 1e6, skipped_periods(status));
+            told + &format!(", frames up to {delay_ms:.1} ms after due, {skipped} periods skipped")
+        }
+        _ => told,
+    }
+}
+
+fn skipped_periods(status: &StatMsg) -> u64 {
+    status.counters.get(SKIPPED_PERIODS).copied().unwrap_or(0)
 }
 
 /// What runs its network, where that is no plan.
@@ -276,6 +296,11 @@ fn examine_process(status: &StatMsg) -> Finding {
         let advice = "look at the allocators: agents act without an allocation";
         return Finding::new(Severity::Warning, "process", found, advice);
     }
+    if status.role == Role::World as u8 && skipped_periods(status) > 0 {
+        let advice =
+            "look what stops it or keeps the machine busy, or lower its rate: periods were skipped";
+        return Finding::new(Severity::Warning, "process", found, advice);
+    }
     if missed == 0 {
         return Finding::fine("process", found);
     }
@@ -287,20 +312,43 @@ fn examine_process(status: &StatMsg) -> Finding {
     )
 }
 
-fn examine_seats(statuses: &BTreeMap<u32, StatMsg>, agents: u64) -> Finding {
+/// Who acts for every agent. A seat that is held by a process that tells nothing is taken all the same.
+fn examine_seats(
+    membership: &Membership,
+    statuses: &BTreeMap<u32, StatMsg>,
+    agents: u64,
+) -> Result<Finding, Error> {
     let runners = statuses.values().filter(|status| status.role == Role::Runner as u8);
     let missing = agents & !runners.fold(0, |seats, status| seats | status.agents);
     if missing == 0 {
-        return Finding::fine("seats", "a process acts for every agent");
+        return Ok(Finding::fine("seats", "a process acts for every agent"));
     }
-    let missing: Vec<String> =
-        (0..u64::BITS).filter(|agent| missing >> agent & 1 == 1).map(|a| a.to_string()).collect();
-    Finding::new(
-        Severity::Problem,
-        "seats",
-        format!("nobody acts for agents {}", missing.join(", ")),
-        "start a runner: `sortie process runner BUNDLE --domain ID --agents …`",
-    )
+    let (mut free, mut silent, mut holders) = (Vec::new(), Vec::new(), BTreeSet::new());
+    for agent in (0..u64::BITS).filter(|agent| missing >> agent & 1 == 1) {
+        match membership.holder_of(Role::Runner, 1 << agent)? {
+            None => free.push(agent.to_string()),
+            Some(pid) => {
+                silent.push(agent.to_string());
+                holders.insert(pid.to_string());
+            }
+        }
+    }
+    let (found, advice) = if free.is_empty() {
+        let holders = Vec::from_iter(holders).join(", ");
+        (
+            format!(
+                "process {holders} has the seats of agents {}, and is silent",
+                silent.join(", ")
+            ),
+            "look whether it is stopped, and let it go on or end it: then another can take its place",
+        )
+    } else {
+        (
+            format!("nobody acts for agents {}", free.join(", ")),
+            "start a runner: `sortie process runner BUNDLE --domain ID --agents …`",
+        )
+    };
+    Ok(Finding::new(Severity::Problem, "seats", found, advice))
 }
 
 fn examine_allocators(statuses: &BTreeMap<u32, StatMsg>, has_allocation: bool) -> Finding {

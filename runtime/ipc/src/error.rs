@@ -69,6 +69,14 @@ pub enum Error {
         /// The domain.
         domain: String,
     },
+    /// No world has come in the place of one that died.
+    #[error("domain `{domain}` has had no world for {seconds} s")]
+    Abandoned {
+        /// The domain.
+        domain: String,
+        /// How long that was waited for.
+        seconds: u64,
+    },
     /// Nobody serves a policy.
     #[error(
         "no policy is served in domain `{domain}`: start `sortie serve PLAN --domain {domain}`"
@@ -109,6 +117,24 @@ pub enum Error {
         /// Hash of the domain's contract.
         theirs: u64,
         /// The first field that differs.
+        detail: String,
+    },
+    /// The domain's team runs at another rate.
+    #[error("domain `{domain}` has a team that runs {}, this one would {}", rate(*.theirs), rate(*.ours))]
+    OtherRate {
+        /// The domain.
+        domain: String,
+        /// This process's time from frame to frame, in nanoseconds; 0 = as long as the team takes.
+        ours: u64,
+        /// The team's.
+        theirs: u64,
+    },
+    /// The domain's world is of another kind.
+    #[error("domain `{domain}` has another world: {detail}")]
+    OtherWorld {
+        /// The domain.
+        domain: String,
+        /// The first difference.
         detail: String,
     },
     /// A runner that reads world frames in a domain whose frames are private, or the other way round.
@@ -225,7 +251,8 @@ impl Error {
             Self::World(WorldError::Unavailable(_)) => 65,
             Self::Allocator(AllocatorError::Refused { .. }) => 65,
             Self::World(WorldError::Link(_)) => 74,
-            Self::NoWorld { .. } | Self::NoServer { .. } | Self::World(_) => 69,
+            Self::NoWorld { .. } | Self::NoServer { .. } | Self::Abandoned { .. } => 69,
+            Self::World(_) => 69,
             // What ended the process of the team says more than that it ended.
             Self::Child { status, .. } | Self::KeepsDying { status, .. } => match status.code() {
                 Some(code @ (65 | 66 | 70 | 74 | 75 | 77 | 78 | 141)) => code as u8,
@@ -234,10 +261,10 @@ impl Error {
             Self::Stalled => 70,
             Self::Directory { .. } | Self::Io { .. } | Self::Spawn { .. } => 74,
             Self::SharedMemory { .. } | Self::Link(_) | Self::Allocator(_) => 74,
-            Self::Busy { .. } | Self::OtherTeam { .. } => 75,
+            Self::Busy { .. } | Self::OtherTeam { .. } | Self::OtherRate { .. } => 75,
             Self::RealTime { .. } => 77,
             Self::Contract { .. } | Self::SchemaInUse { .. } | Self::Limits { .. } => 78,
-            Self::Frames { .. } | Self::OtherPolicy { .. } => 78,
+            Self::Frames { .. } | Self::OtherPolicy { .. } | Self::OtherWorld { .. } => 78,
             Self::Interrupted => 130,
         }
     }
@@ -257,6 +284,19 @@ fn frames(are_private: bool) -> &'static str {
         "gives every agent its own frame, this runner would read the world's: start it with private frames"
     } else {
         "has one frame for all, this runner would wait for its own: start it without private frames"
+    }
+}
+
+/// A time from frame to frame as people say it, in nanoseconds.
+fn rate(period_ns: u64) -> String {
+    match period_ns {
+        0 => "as fast as it acts".to_string(),
+        // Six digits: a rate that was asked for comes back as it was written.
+        period => {
+            let hz = 1e9 / period as f64;
+            let digits = 10_f64.powi(5 - hz.log10().floor() as i32);
+            format!("at {} Hz", (hz * digits).round() / digits)
+        }
     }
 }
 

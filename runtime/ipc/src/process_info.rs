@@ -151,7 +151,7 @@ impl LoadedModel {
 /// What a process that works with a model ended with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
-    /// The world has ended.
+    /// The world has ended, or the process was told to.
     WithWorld,
     /// It is to go on with the model that its registry loaded last.
     ForNextModel,

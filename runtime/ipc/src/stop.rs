@@ -7,7 +7,7 @@ use std::{io, ptr};
 
 use rustix::stdio::stderr;
 use rustix::time::{ClockId, clock_gettime};
-use signal_hook::consts::{SIGBUS, SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGBUS, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::low_level;
 use sortie_core::link::Clock;
 
@@ -42,32 +42,45 @@ impl Stop {
     /// # Errors
     /// A handler could not be registered.
     pub fn on_signals() -> io::Result<Self> {
+        Self::on_signals_saying("")
+    }
+
+    /// The same, and the first signal has these words written to standard error at once: for work that takes a while
+    /// to come to an end.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn on_signals_saying(words: &'static str) -> io::Result<Self> {
         let stop = Self::default();
         let first_ns = Arc::new(AtomicU64::new(0));
         // The first reading looks for the clock, which a handler had better not.
         MonotonicClock.now_ns();
         for signal in [SIGINT, SIGTERM, SIGHUP] {
             if signal != SIGHUP || !is_ignored(signal) {
-                stop.obey(signal, Arc::clone(&first_ns))?;
+                stop.obey(signal, Arc::clone(&first_ns), words)?;
             }
         }
         explain_bus_errors()?;
+        outlive_file_limits()?;
         Ok(stop)
     }
 
     #[allow(unsafe_code)]
-    fn obey(&self, signal: i32, first_ns: Arc<AtomicU64>) -> io::Result<()> {
+    fn obey(&self, signal: i32, first_ns: Arc<AtomicU64>, words: &'static str) -> io::Result<()> {
         let stop = self.clone();
-        let action = move || stop.signalled(&first_ns, MonotonicClock.now_ns());
-        // SAFETY: the action is async-signal-safe: it reads the clock, accesses atomics, and calls a waker, which
-        // promises no more than atomic accesses and system calls, or `_exit`. It neither allocates, locks, panics
-        // nor sets `errno`.
+        let action = move || stop.signalled(&first_ns, MonotonicClock.now_ns(), words);
+        // SAFETY: the action is async-signal-safe: it reads the clock, accesses atomics, writes to a descriptor, and
+        // calls a waker, which promises no more than atomic accesses and system calls, or `_exit`. It neither
+        // allocates, locks, panics nor sets `errno`: system calls here go past the C library.
         unsafe { low_level::register(signal, action) }.map(drop)
     }
 
-    fn signalled(&self, first_ns: &AtomicU64, now_ns: u64) {
+    fn signalled(&self, first_ns: &AtomicU64, now_ns: u64, words: &str) {
         match first_ns.compare_exchange(0, now_ns, Ordering::SeqCst, Ordering::SeqCst) {
-            Ok(_) => self.stop(),
+            Ok(_) => {
+                self.stop();
+                let _ = rustix::io::write(stderr(), words.as_bytes());
+            }
             Err(first_ns) if now_ns.saturating_sub(first_ns) < SAME_WISH_NS => {}
             Err(_) => low_level::exit(INTERRUPTED),
         }
@@ -119,6 +132,13 @@ fn explain_bus_errors() -> io::Result<()> {
     };
     // SAFETY: the action is async-signal-safe: two system calls.
     unsafe { low_level::register(SIGBUS, explain) }.map(drop)
+}
+
+/// A write beyond the limit of file sizes (`ulimit -f`) fails then, and says so, where the signal would end the process.
+#[allow(unsafe_code)]
+fn outlive_file_limits() -> io::Result<()> {
+    // SAFETY: the action is async-signal-safe: it does nothing.
+    unsafe { low_level::register(SIGXFSZ, || {}) }.map(drop)
 }
 
 /// `CLOCK_MONOTONIC`: survives steps of the wall clock.

@@ -7,10 +7,12 @@ use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Component, Path};
 
+use sortie_bundle::files::read_file;
+
 #[cfg(test)]
 mod tests;
 
-/// The most bytes of weights beside a file.
+/// The most bytes of a file, and of the weights beside it.
 const MOST: u64 = 1 << 30;
 
 /// Numbers of fields, by the names that ONNX has for them.
@@ -31,7 +33,7 @@ const EXTERNAL: u64 = 1;
 /// If one of the files cannot be read, or is of another format, or if the weights are said to lie outside of the folder,
 /// or where the other file has already ended.
 pub fn read_onnx(path: &Path) -> io::Result<Vec<u8>> {
-    let file = fs::read(path)?;
+    let file = read_file(path, MOST)?;
     if let Some(what) = other_format(path, &file) {
         return Err(io::Error::new(io::ErrorKind::InvalidData, what));
     }

@@ -7,8 +7,9 @@ use serde::Serialize;
 use sortie_learn::evaluate::Score;
 use sortie_learn::report::numbers::{count, duration};
 use sortie_learn::report::{FinalResult, Row, RunRecord};
+use sortie_learn::run::read_description;
 
-use crate::failure::Outcome;
+use crate::failure::{Failure, Outcome};
 use crate::output::{Table, print_json, say, wrapped};
 use crate::terminal::{line_width, terminal_curve};
 
@@ -27,6 +28,9 @@ struct RunFacts<'a> {
 }
 
 pub(super) fn inspect(folder: &Path, json: bool) -> Outcome {
+    if !RunRecord::is_in(folder) {
+        return inspect_beginning(folder, json);
+    }
     let run = RunRecord::open(folder)?;
     if json {
         print_json(&RunFacts {
@@ -50,6 +54,29 @@ pub(super) fn inspect(folder: &Path, json: bool) -> Outcome {
         say!("{line}");
     }
     print_result(&run);
+    Ok(())
+}
+
+/// The same of a run that has not been evaluated yet.
+fn inspect_beginning(folder: &Path, json: bool) -> Outcome {
+    let description = read_description(folder)?;
+    let text = description.to_toml()?;
+    let configuration: toml::Table = text.parse().map_err(Failure::bug)?;
+    let environment = Some(description.config.environment.to_string());
+    if json {
+        print_json(&RunFacts {
+            run: folder.display().to_string(),
+            seed: Some(description.seed),
+            environment: &environment,
+            configuration: &configuration,
+            curve: &[],
+            result: &None,
+        });
+        return Ok(());
+    }
+    say!("run {}", folder.display());
+    print_section("", &configuration);
+    say!("\nnot evaluated yet");
     Ok(())
 }
 

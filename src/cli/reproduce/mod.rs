@@ -2,11 +2,11 @@
 
 mod recipe;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
+use sortie_bundle::files::{MOST_TEXT_BYTES, read_text};
 use sortie_learn::report::chart::{self, Axis, Bar, Bars};
 use sortie_learn::report::{self, Comparison, Group, RunRecord, Spread};
 use sortie_learn::session::Setup;
@@ -55,7 +55,8 @@ pub(crate) fn run(arguments: &ReproduceArguments) -> Outcome {
     let recipes = match &arguments.recipes {
         None => Recipes::from_text(OWN, "docs/evidence/reproduce.toml")?,
         Some(path) => {
-            let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
+            let text =
+                read_text(path, MOST_TEXT_BYTES).map_err(|error| Failure::file(path, &error))?;
             Recipes::from_text(&text, &path.display().to_string())?
         }
     };

@@ -1,5 +1,6 @@
 //! `sortie run`: deploys a bundle's team in a built-in world.
 
+mod figures;
 mod onlooker;
 mod picture;
 pub(crate) mod process;
@@ -26,7 +27,7 @@ use self::world::open_world;
 use crate::allocation::{AllocatorChoice, name_of};
 use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::{domain_contract, open_bundle};
-use crate::failure::Outcome;
+use crate::failure::{Exit, Outcome};
 use crate::output::Common;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::{self, stop_on_signals};
@@ -89,8 +90,8 @@ fn positive_seconds(text: &str) -> Result<f64, String> {
 
 fn rate(text: &str) -> Result<f64, String> {
     match text.parse() {
-        Ok(hz) if (0.0..=1e6).contains(&hz) => Ok(hz),
-        _ => Err("expected ticks a second, from 0 to 1000000".to_string()),
+        Ok(hz) if hz == 0.0 || (0.001..=1e6).contains(&hz) => Ok(hz),
+        _ => Err("expected 0, or ticks a second from 0.001 to 1000000".to_string()),
     }
 }
 
@@ -112,6 +113,11 @@ pub(crate) fn run(arguments: &RunArguments) -> Outcome {
         play_in_process(arguments, &bundle, &mut world, allocator, &mut onlooker, &stop)
     } else {
         play_as_processes(arguments, &bundle, &mut world, allocation, &mut onlooker, &stop)
+    };
+    let ended = match ended {
+        // What the view offers is no failure.
+        Err(failure) if failure.exit == Exit::Interrupted && onlooker.has_quit() => Ok(()),
+        other => other,
     };
     onlooker.restore_terminal();
     let setup = Setup {

@@ -1,6 +1,5 @@
 //! Watches the world of a run: collects latencies, shows what is played.
 
-use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 
@@ -11,9 +10,9 @@ use sortie_core::{NO_ACTION, UNASSIGNED, limits};
 use sortie_envs::Episode;
 use sortie_ipc::{Domain, Stop};
 
+use super::figures::Figures;
 use super::picture::{self, Keyboard, Picture, Screen};
 use crate::failure::Failure;
-use crate::latency::Latency;
 use crate::output::tell;
 use crate::views::{Scene, View, view_of};
 use crate::worlds::tally::Tally;
@@ -50,22 +49,6 @@ pub(super) struct Onlooker {
     pub(super) figures: Figures,
 }
 
-/// What a run measures.
-pub(super) struct Figures {
-    /// Decisions of all agents.
-    pub(super) decisions: u64,
-    /// One decision alone.
-    pub(super) decide: Latency,
-    /// From a frame's publishing to an agent's action.
-    pub(super) act: Latency,
-    /// From a frame's publishing to the end of the world's step.
-    pub(super) tick: Latency,
-    /// Fallback actions that were played for agents without an answer in time.
-    pub(super) fallbacks: u64,
-    /// Ids of the processes heard of, the world's included.
-    pub(super) processes: BTreeSet<u32>,
-}
-
 impl Onlooker {
     pub(super) fn new(
         display: Display,
@@ -73,14 +56,8 @@ impl Onlooker {
         world: &EnvironmentWorld,
         ledger: Option<Ledger>,
     ) -> Self {
-        let figures = Figures {
-            decisions: 0,
-            decide: Latency::default(),
-            act: Latency::default(),
-            tick: Latency::default(),
-            fallbacks: 0,
-            processes: BTreeSet::from([std::process::id()]),
-        };
+        let mut figures = Figures::default();
+        figures.processes.insert(std::process::id());
         Self {
             display,
             episodes,
@@ -103,6 +80,11 @@ impl Onlooker {
         if self.display == Display::Live {
             self.keyboard = Keyboard::open(stop);
         }
+    }
+
+    /// Whether the person who looks on has ended the run by a key.
+    pub(super) fn has_quit(&self) -> bool {
+        self.keyboard.as_ref().is_some_and(Keyboard::has_quit)
     }
 
     /// Leaves the terminal as it was.
@@ -167,13 +149,7 @@ impl WorldObserver for Onlooker {
     }
 
     fn tick(&mut self, report: &TickReport<'_>) {
-        for answer in report.answers() {
-            self.figures.decisions += 1;
-            self.figures.decide.record_ns(u64::from(answer.decide_ns));
-            self.figures.act.record_ns(answer.t_ns.saturating_sub(report.published_ns));
-        }
-        self.figures.fallbacks += unanswered(report);
-        self.figures.tick.record_ns(report.tick_ns);
+        self.figures.record(report);
         if self.display == Display::Live {
             for (to, from) in self.actions.iter_mut().zip(report.actions) {
                 *to = *from;
@@ -183,6 +159,7 @@ impl WorldObserver for Onlooker {
                 // Once more, for it says so.
                 self.draw(report.step + 1);
                 self.keyboard.iter().for_each(Keyboard::wait_while_paused);
+                self.figures.stand_still();
             }
         }
     }
@@ -202,12 +179,6 @@ impl WorldObserver for Onlooker {
             tell!("{}", episode_line((number, of), finished, spec.has_success, &what));
         }
     }
-}
-
-/// Agents that acted without an answer.
-fn unanswered(report: &TickReport<'_>) -> u64 {
-    let acted = report.actions.iter().enumerate().filter(|(_, action)| **action != NO_ACTION);
-    acted.filter(|(agent, _)| report.answered >> agent & 1 == 0).count() as u64
 }
 
 fn episode_line(

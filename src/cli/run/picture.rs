@@ -105,6 +105,8 @@ pub(super) struct Keyboard {
 struct Shared {
     stop: Stop,
     is_done: AtomicBool,
+    /// A key has ended the run.
+    has_quit: AtomicBool,
     is_paused: Mutex<bool>,
     resumed: Condvar,
 }
@@ -116,12 +118,18 @@ impl Keyboard {
         let shared = Arc::new(Shared {
             stop: stop.clone(),
             is_done: AtomicBool::new(false),
+            has_quit: AtomicBool::new(false),
             is_paused: Mutex::new(false),
             resumed: Condvar::new(),
         });
         let reading = Arc::clone(&shared);
         let thread = thread::Builder::new().spawn(move || reading.read(&modes)).ok()?;
         Some(Self { shared, thread: Some(thread) })
+    }
+
+    /// Whether a key has ended the run.
+    pub(super) fn has_quit(&self) -> bool {
+        self.shared.has_quit.load(Ordering::SeqCst)
     }
 
     pub(super) fn is_paused(&self) -> bool {
@@ -153,7 +161,10 @@ impl Shared {
             modes.enter();
             match next_key() {
                 Ok(Some(b' ')) => self.set_paused(|is_paused| !is_paused),
-                Ok(Some(b'q' | b'Q')) => self.stop.stop(),
+                Ok(Some(b'q' | b'Q')) => {
+                    self.has_quit.store(true, Ordering::SeqCst);
+                    self.stop.stop();
+                }
                 Ok(_) => {}
                 Err(_) => break,
             }

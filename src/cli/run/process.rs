@@ -98,6 +98,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
         tasks_max: Some(limits.t_max.into()),
         private: arguments.private,
         parent: arguments.parent,
+        world_patience: None,
         linger: arguments.scheduling.linger(),
         real_time: arguments.scheduling.real_time(arguments.core),
     };

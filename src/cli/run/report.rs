@@ -7,7 +7,8 @@ use serde_json::Value;
 use sortie_envs::Spec;
 use sortie_learn::evaluate::wilson_interval;
 
-use super::onlooker::{Figures, Onlooker};
+use super::figures::Figures;
+use super::onlooker::Onlooker;
 use crate::latency::{Latency, Percentiles};
 use crate::output::{Table, plural, print_json, say};
 use crate::views::view_of;
@@ -37,6 +38,17 @@ pub(super) struct Report {
     act_us: Percentiles,
     tick_us: Percentiles,
     ticks: u64,
+    /// From the first frame to the end of the last step.
+    wall_s: f64,
+    /// From one frame to the next, and the standard deviation of that.
+    interval_us: Percentiles,
+    jitter_us: f64,
+    /// From the time at which a frame was due to its publishing; absent without a rate.
+    delay_us: Option<Percentiles>,
+    /// Periods in which no frame came, since the world was late by them.
+    skipped_periods: u64,
+    /// Ticks that were not over when the next frame was due.
+    overrun_ticks: u64,
     /// Ticks a second that the run was held to; absent where it went as fast as the team acts.
     rate_hz: Option<f64>,
     allocation: String,
@@ -102,6 +114,12 @@ impl Report {
             act_us: figures.act.percentiles(),
             tick_us: figures.tick.percentiles(),
             ticks: figures.tick.samples(),
+            wall_s: figures.wall_seconds(),
+            interval_us: figures.interval.percentiles(),
+            jitter_us: figures.jitter.deviation() / 1000.0,
+            delay_us: setup.rate_hz.map(|_| figures.delay.percentiles()),
+            skipped_periods: figures.skipped,
+            overrun_ticks: figures.overran,
             rate_hz: setup.rate_hz,
             allocation: setup.allocation,
             backend: setup.backend,
@@ -125,12 +143,12 @@ impl Report {
             say!("{}\n", self.own_text);
         }
         say!(
-            "{}, {}, {}, pace {}\n",
+            "{}, {}, {}",
             plural(self.processes, "process"),
             plural(self.decisions as usize, "decision"),
             plural(self.fallbacks as usize, "fallback action"),
-            self.pace()
         );
+        say!("{:.2} s, pace {}\n", self.wall_s, self.pace());
         if self.episodes_of_dead_worlds > 0 {
             say!(
                 "a world died: of the first {} figures below know nothing\n",
@@ -141,6 +159,10 @@ impl Report {
         latency.row(latency_row("one decision", self.decide_us, &figures.decide));
         latency.row(latency_row("observation to action", self.act_us, &figures.act));
         latency.row(latency_row("whole tick", self.tick_us, &figures.tick));
+        if let Some(delay) = self.delay_us {
+            latency.row(latency_row("frame after due", delay, &figures.delay));
+        }
+        latency.row(latency_row("frame to frame", self.interval_us, &figures.interval));
         latency.print();
     }
 
@@ -161,7 +183,13 @@ impl Report {
 
     fn pace(&self) -> String {
         match self.rate_hz {
-            Some(rate) => format!("{rate} ticks a second"),
+            Some(rate) => format!(
+                "{rate} ticks a second: {} skipped, {} over {} period, jitter {:.1} us",
+                plural(self.skipped_periods as usize, "period"),
+                plural(self.overrun_ticks as usize, "tick"),
+                if self.overrun_ticks == 1 { "its" } else { "their" },
+                self.jitter_us
+            ),
             None => "as fast as the team acts".to_string(),
         }
     }

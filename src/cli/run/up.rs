@@ -7,7 +7,8 @@ use clap::{Args, ValueEnum};
 use sortie_core::World;
 use sortie_core::wire::Role;
 use sortie_ipc::{
-    Charge, Domain, DomainContract, Error, RestartPolicy, SupervisorEvent, group_agents, supervise,
+    Charge, Domain, DomainContract, DomainFacts, Error, RestartPolicy, SupervisorEvent,
+    group_agents, supervise,
 };
 
 use super::team::{Scheduling, Team, check_cores};
@@ -106,10 +107,12 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
         parent: None,
     };
     let membership = domain.enter()?;
-    membership.check(&DomainContract {
-        mixes_teams: arguments.mix_teams,
-        ..domain_contract(&bundle, allocation)
-    })?;
+    let contract =
+        DomainContract { mixes_teams: arguments.mix_teams, ..domain_contract(&bundle, allocation) };
+    let facts = DomainFacts::new(&contract, world.shape())
+        .with_private_frames(arguments.private)
+        .with_period(arguments.playing.period());
+    membership.check_world(&contract, &facts)?;
     let charges = charges(arguments, &team, world.shape().agents)?;
     let is_told = !arguments.common.quiet && !arguments.common.json;
     if is_told {

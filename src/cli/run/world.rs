@@ -44,6 +44,11 @@ impl Playing {
         (self.rate > 0.0).then_some(self.rate)
     }
 
+    /// From frame to frame; zero = as long as the team takes.
+    pub(super) fn period(&self) -> Duration {
+        self.rate_hz().map_or(Duration::ZERO, |hz| Duration::from_secs_f64(1.0 / hz))
+    }
+
     /// Names what is played; the same for a world and the one that takes its place.
     fn key(&self, seed: u64) -> String {
         let Self { env, episodes, .. } = self;
@@ -132,7 +137,7 @@ fn play_on(
     let settings = WorldSettings {
         allocator: team.allocation.is_some(),
         strict: false,
-        period: playing.rate_hz().map_or(Duration::ZERO, |hz| Duration::from_secs_f64(1.0 / hz)),
+        period: playing.period(),
         patience: Duration::from_secs_f64(playing.patience),
         episodes: left.map(|left| left.try_into().unwrap_or(u32::MAX)),
         private: team.private,

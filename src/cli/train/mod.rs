@@ -7,13 +7,14 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::sync::atomic::Ordering;
+use std::thread;
 use std::time::{Duration, Instant};
-use std::{fs, thread};
 
 use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use sortie_bundle::TRAINING;
+use sortie_bundle::files::{MOST_TEXT_BYTES, read_text};
 use sortie_ipc::Stop;
 use sortie_learn::LearnError;
 use sortie_learn::run::{
@@ -25,9 +26,9 @@ use sortie_methods::METHODS;
 use crate::allocation::Allocation;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::methods;
-use crate::output::{self, Common, say, tell, warn_of_refused};
+use crate::output::{self, Common, say, tell, warn_of_refused, whole_number};
 use crate::seeds::SeedRange;
-use crate::terminal::stop_on_signals;
+use crate::terminal::stop_saying;
 use reporter::Reporter;
 
 pub(crate) use sweep::{Sweep, learn_all, run_folder, suffixed};
@@ -77,7 +78,7 @@ pub(crate) struct TrainArguments {
     #[arg(long, value_enum)]
     mixer: Option<Mixer>,
     /// Environment steps to learn for, with --resume more than before [default: as the configuration says]
-    #[arg(long)]
+    #[arg(long, value_parser = whole_number)]
     steps: Option<u64>,
     /// One run per seed, A and B included: folders DIR-sA to DIR-sB, as many at a time as there are
     /// cores; the same command again goes on with what is unfinished
@@ -129,6 +130,9 @@ impl Mixer {
 /// The preset that needs no flag.
 const USUAL_PRESET: &str = "fast";
 
+/// What is said as soon as a signal comes: updates take up to seconds, and the last checkpoint its time as well.
+const STOPPING: &str = "stopping after this update\n";
+
 /// How long a seed of a sweep waits for a run that is being stopped: that of a sweep that was killed.
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -138,7 +142,8 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
         return Ok(());
     }
     output::may_be_lost();
-    let stop = stop_on_signals()?;
+    let is_told = !arguments.common.quiet && !arguments.common.json && arguments.sweep.is_none();
+    let stop = stop_saying(if is_told { STOPPING } else { "" })?;
     if let Some(sweep) = arguments.sweep {
         stop_without(sweep, &stop)?;
     }
@@ -297,7 +302,8 @@ fn setup(arguments: &TrainArguments) -> Result<Setup, Failure> {
     let mut given = BTreeSet::new();
     let mut setup = match &arguments.config {
         Some(path) => {
-            let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
+            let text =
+                read_text(path, MOST_TEXT_BYTES).map_err(|error| Failure::file(path, &error))?;
             let read = entry.read(&text).and_then(|setup| Ok((setup, keys_in(&text)?)));
             let (setup, keys) =
                 read.map_err(|error| Failure::from(error).within(path.display()))?;

@@ -12,7 +12,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use serde::Serialize;
 use serde_json::Value;
-use sortie_bundle::files::{Durability, replace_file};
+use sortie_bundle::files::{Durability, MOST_TEXT_BYTES, read_text, replace_file};
 use sortie_ipc::Stop;
 use sortie_learn::evaluate::Score;
 use sortie_learn::report::Spread;
@@ -156,7 +156,7 @@ impl<'a> Sweep<'a> {
             return replace_file(path, text.as_bytes(), Durability::Forced)
                 .map_err(|error| Failure::file(path, &error));
         }
-        let text = fs::read_to_string(path).map_err(|error| Failure::file(path, &error))?;
+        let text = read_text(path, MOST_TEXT_BYTES).map_err(|error| Failure::file(path, &error))?;
         let found = Setup::from_text(&self.setup.method, &text)
             .map_err(|error| Failure::from(error).within(path.display()))?;
         let differences = Difference::between(self.setup, &found)?;
@@ -292,7 +292,7 @@ pub(crate) fn suffixed(path: &Path, suffix: &str) -> PathBuf {
 /// Figures that a finished run reports.
 fn figures<const N: usize>(folder: &Path, keys: [&str; N]) -> Result<[f64; N], Failure> {
     let path = folder.join("result.json");
-    let text = fs::read_to_string(&path).map_err(|error| Failure::file(&path, &error))?;
+    let text = read_text(&path, MOST_TEXT_BYTES).map_err(|error| Failure::file(&path, &error))?;
     let result: Option<Value> = serde_json::from_str(&text).ok();
     let mut found = [0.0; N];
     for (to, key) in found.iter_mut().zip(keys) {

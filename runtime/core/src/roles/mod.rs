@@ -16,7 +16,7 @@ mod world;
 pub use allocator::{AllocatorError, AllocatorOptions, AllocatorRole};
 pub use presence::{Identity, Presence};
 pub use runner::{RunnerOptions, RunnerRole};
-pub use world::{TickReport, WorldError, WorldObserver, WorldOptions, WorldRole};
+pub use world::{TickReport, Timing, WorldError, WorldObserver, WorldOptions, WorldRole};
 
 /// What a role wants next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +75,10 @@ pub struct Counters {
     pub restarts_seen: u64,
     /// Clean-ups after dead processes; known to a supervisor.
     pub clean_ups: u64,
+    /// Longest time that a frame came after it was due, in nanoseconds; known to a world that keeps to a rate.
+    pub longest_delay_ns: u64,
+    /// Periods in which no frame came, because the world was late by them; known to a world that keeps to a rate.
+    pub skipped_periods: u64,
 }
 
 impl Counters {
@@ -96,6 +100,8 @@ impl Counters {
             self.context_switches,
             self.restarts_seen,
             self.clean_ups,
+            self.longest_delay_ns,
+            self.skipped_periods,
         ];
         for (to, from) in counters.iter_mut().zip(known) {
             *to = from;

@@ -7,7 +7,7 @@ mod frames;
 mod report;
 mod seats;
 
-pub use report::{TickReport, WorldError, WorldObserver};
+pub use report::{TickReport, Timing, WorldError, WorldObserver};
 
 use zerocopy::FromZeros;
 
@@ -101,8 +101,9 @@ pub struct WorldRole {
     allocations_missed: u32,
     /// First of the ticks in a row in which agents acted without a usable allocation.
     unallocated_since: Option<u64>,
-    /// When the current frame was to be published, and when it was.
+    /// When the current frame was to be published, how that was kept to, and when it was.
     due_ns: u64,
+    timing: Timing,
     published_ns: u64,
     /// Until when actions count for it; 0 = for ever.
     deadline_ns: u64,
@@ -146,6 +147,7 @@ impl WorldRole {
             allocations_missed: 0,
             unallocated_since: None,
             due_ns: 0,
+            timing: Timing::default(),
             published_ns: 0,
             deadline_ns: 0,
             reallocated: false,
@@ -255,8 +257,7 @@ impl WorldRole {
                 if now < until_ns {
                     return Ok(Poll::Wait { until_ns });
                 }
-                let is_on_time = now - until_ns < self.options.period_ns;
-                self.due_ns = if is_on_time { until_ns } else { now };
+                self.keep_time(until_ns, now);
                 self.publish_tick(link, world)?;
                 Ok(Poll::Again)
             }
@@ -268,6 +269,24 @@ impl WorldRole {
             Phase::Paused => Ok(self.ask_again(now)),
             Phase::Ended => Ok(Poll::Ended),
         }
+    }
+
+    /// Notes how late the next frame is. One that is late by less than the period changes nothing about those after it.
+    fn keep_time(&mut self, due_ns: u64, now: u64) {
+        let delay_ns = now.saturating_sub(due_ns);
+        self.due_ns = if delay_ns < self.options.period_ns { due_ns } else { now };
+        self.timing = match delay_ns.checked_div(self.interval_ns()) {
+            None => Timing::default(),
+            Some(skipped) => Timing { delay_ns, skipped, overran: false },
+        };
+        let Counters { longest_delay_ns, skipped_periods, .. } = &mut self.counters;
+        *longest_delay_ns = (*longest_delay_ns).max(self.timing.delay_ns);
+        *skipped_periods += self.timing.skipped;
+    }
+
+    /// Time from frame to frame; 0 = as long as the team takes.
+    fn interval_ns(&self) -> u64 {
+        self.options.period_ns.max(self.options.tick_interval_ns)
     }
 
     /// Tells runners and allocator to end.

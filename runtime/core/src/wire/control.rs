@@ -16,7 +16,8 @@ pub enum Command {
     Resume = 3,
     /// World: give up the current episode and begin the next.
     ResetEpisode = 4,
-    /// World: end, and the team with it. Server of a policy: end.
+    /// World: end, and the team with it. Server of a policy: end. Runner, allocator: end, where the request names its
+    /// process, or means [`ControlReq::EVERYBODY`].
     ShutDown = 5,
     /// Runner, allocator: load a model anew; the text is a key of the process's own registry.
     ReloadModel = 6,
@@ -92,6 +93,9 @@ assert_layout!(ControlReq, 64, {
 });
 
 impl ControlReq {
+    /// `arg64` of [`Command::ShutDown`] where nobody waits for a world's goodbye.
+    pub const EVERYBODY: u64 = 1;
+
     /// A command for all processes of the domain of `schema`.
     pub fn new(schema: u64, command: Command) -> Self {
         Self { schema, cmd: command as u16, abi: ABI, ..Self::new_zeroed() }

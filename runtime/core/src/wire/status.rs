@@ -81,7 +81,8 @@ pub struct StatMsg {
     pub flags: u32,
     /// Counters since the start, in this order: ticks, frame gaps, late, stale allocations, no allocations,
     /// fallbacks, schema rejects, bad messages, old-term rejects, bell time-outs, missed wake-ups,
-    /// involuntary context switches, restarts seen, clean-ups after the dead, failed sends, reserved.
+    /// involuntary context switches, restarts seen, clean-ups after the dead, longest time of a frame behind its due
+    /// time in nanoseconds, periods skipped.
     pub counters: [u64; 16],
     /// Times from a frame's publishing to this process running; world: from the last answer to it running.
     /// Bucket k counts those of [2^k, 2^(k+1)) times 16 ns since the start.

@@ -218,26 +218,22 @@ impl DomainFacts {
     /// Checks that a world of `ours` fits this domain.
     ///
     /// # Errors
-    /// [`Error::Contract`], which names both shapes, kinds of bells, periods, or kinds of frames.
-    pub(crate) fn check_world(
-        &self,
-        domain: &Domain,
-        contract: &DomainContract,
-        ours: &DomainFacts,
-    ) -> Result<(), Error> {
+    /// [`Error::OtherRate`], or [`Error::OtherWorld`], which names both shapes, kinds of bells, or kinds of frames.
+    pub(crate) fn check_world(&self, domain: &Domain, ours: &DomainFacts) -> Result<(), Error> {
+        let domain = domain.id().to_string();
         let detail = if self.shape() != ours.shape() {
             format!("the world is {:?} here, {:?} there", ours.shape(), self.shape())
         } else if self.bell != ours.bell {
             format!("bells are {:?} here, {:?} there", ours.bell, self.bell)
-        } else if self.period_ns != ours.period_ns {
-            format!("the period is {} ns here, {} there", ours.period_ns, self.period_ns)
         } else if self.private != ours.private {
             let name = |private| if private { "private" } else { "shared" };
             format!("frames are {} here, {} there", name(ours.private), name(self.private))
+        } else if self.period_ns != ours.period_ns {
+            return Err(Error::OtherRate { domain, ours: ours.period_ns, theirs: self.period_ns });
         } else {
             return Ok(());
         };
-        Err(self.other_contract(domain, contract, detail))
+        Err(Error::OtherWorld { domain, detail })
     }
 }
 
@@ -354,6 +350,30 @@ mod tests {
         elsewhere.fields.insert("environment".into(), "harbour".into());
         let error = facts.check(&domain, &elsewhere).unwrap_err().to_string();
         assert!(error.ends_with("`environment` is \"harbour\" here, \"city\" there"), "{error}");
+    }
+
+    #[test]
+    fn worlds_differ_by_rate_or_in_kind() {
+        let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
+        let domain = Domain::under(Path::new("/dev/shm"), "facts").unwrap();
+        let world = |hz: f64| {
+            let period = if hz == 0.0 { 0.0 } else { 1.0 / hz };
+            let facts = DomainFacts::new(&contract(7, 4), shape);
+            facts.with_period(Duration::from_secs_f64(period))
+        };
+        let refused = |ours: &DomainFacts, theirs: &DomainFacts| {
+            let error = theirs.check_world(&domain, ours).unwrap_err();
+            (error.to_string(), error.exit_code())
+        };
+        assert!(world(30.0).check_world(&domain, &world(30.0)).is_ok());
+        let told = |theirs: &str, ours: &str| {
+            (format!("domain `facts` has a team that runs {theirs}, this one would {ours}"), 75)
+        };
+        assert_eq!(refused(&world(0.0), &world(200.0)), told("at 200 Hz", "as fast as it acts"));
+        assert_eq!(refused(&world(30.0), &world(0.025)), told("at 0.025 Hz", "at 30 Hz"));
+        let private = world(30.0).with_private_frames(true);
+        let other = "domain `facts` has another world: frames are private here, shared there";
+        assert_eq!(refused(&private, &world(30.0)), (other.to_string(), 78));
     }
 
     #[test]

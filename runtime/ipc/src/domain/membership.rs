@@ -7,6 +7,9 @@ use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
 use std::time::Duration;
 
+use sortie_core::limits;
+use sortie_core::wire::Role;
+
 use super::facts::{self, DomainContract, DomainFacts};
 use super::objects::{ignore_missing, remove};
 use super::{Domain, preflight};
@@ -17,6 +20,13 @@ use crate::stop::Stop;
 const STARTING: &str = "init.lock";
 /// Shared by every process for its life.
 const ALIVE: &str = "alive.lock";
+/// Held by the world.
+const WORLD: &str = "world.lock";
+
+/// The lock of an agent's seat.
+fn seat(agent: u16) -> String {
+    format!("agent-{agent}.lock")
+}
 
 /// A process's part in a domain, for its life.
 #[derive(Debug)]
@@ -123,16 +133,62 @@ impl Membership {
         facts: &DomainFacts,
         bytes: u64,
     ) -> Result<Lock, Error> {
-        let lock = self.take("world.lock", "the world")?;
+        let lock = self.take(WORLD, "the world")?;
         preflight::check_space(bytes)?;
-        match facts::read(&self.domain)? {
-            Some(earlier) => {
-                earlier.check(&self.domain, contract)?;
-                earlier.check_world(&self.domain, contract, facts)?;
-            }
-            None => facts::write(&self.domain, facts)?,
+        if !self.check_world(contract, facts)? {
+            facts::write(&self.domain, facts)?;
         }
         Ok(lock)
+    }
+
+    /// Checks that a world of `contract` and `ours` fits what the domain is, if a world has stated that already.
+    /// Returns whether one has.
+    ///
+    /// # Errors
+    /// Another contract, another team, or another kind of world.
+    pub fn check_world(
+        &self,
+        contract: &DomainContract,
+        ours: &DomainFacts,
+    ) -> Result<bool, Error> {
+        let Some(stated) = self.facts()? else { return Ok(false) };
+        stated.check(&self.domain, contract)?;
+        stated.check_world(&self.domain, ours)?;
+        Ok(true)
+    }
+
+    /// Whether a world lives: the kernel frees its lock when it dies, however it dies.
+    pub(crate) fn has_world(&self) -> Result<bool, Error> {
+        self.holder(WORLD).map(|holder| holder.is_some())
+    }
+
+    /// The process that is the world, or acts for one of the agents (bit a: agent a), if there is one; 0 = unknown.
+    /// Other roles may be held by several.
+    pub(crate) fn holder_of(&self, role: Role, agents: u64) -> Result<Option<u64>, Error> {
+        match role {
+            Role::World => self.holder(WORLD),
+            Role::Runner => {
+                let seats = (0..limits::AGENTS as u16).filter(|agent| agents >> agent & 1 == 1);
+                let mut holders = seats.map(|agent| self.holder(&seat(agent)));
+                holders.find_map(Result::transpose).transpose()
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// The process that holds a lock of the domain.
+    fn holder(&self, name: &str) -> Result<Option<u64>, Error> {
+        let path = self.domain.path(name);
+        // Whoever takes a role does so under this lock, and never meets the one below.
+        let _starting = self.lock_start()?;
+        let Some(mut file) = existing_lock(&path)? else { return Ok(None) };
+        match file.try_lock_shared() {
+            Ok(()) => Ok(None),
+            Err(TryLockError::WouldBlock) => {
+                read_term(&mut file).map(|[_, pid]| Some(pid)).map_err(Error::io("read", &path))
+            }
+            Err(TryLockError::Error(error)) => Err(Error::io("lock", &path)(error)),
+        }
     }
 
     /// What waits until this process leads the allocators of the domain, or no longer wants to.
@@ -148,7 +204,7 @@ impl Membership {
     /// # Errors
     /// Another process acts for the agent.
     pub fn take_seat(&self, agent: u16) -> Result<Lock, Error> {
-        self.take(&format!("agent-{agent}.lock"), &format!("agent {agent}"))
+        self.take(&seat(agent), &format!("agent {agent}"))
     }
 
     /// Takes one end of a served policy.
@@ -162,6 +218,7 @@ impl Membership {
     }
 
     fn take(&self, file: &str, what: &str) -> Result<Lock, Error> {
+        let _starting = self.lock_start()?;
         Lock::take(&self.domain.path(file))?.map_err(|pid| Error::Busy {
             what: what.to_string(),
             domain: self.domain.id().to_string(),
@@ -182,14 +239,6 @@ impl Membership {
         let facts = facts::wait_for(&self.domain, patience, stop)?;
         facts.check(&self.domain, contract)?;
         Ok(facts)
-    }
-
-    /// Checks that `contract` fits what the domain is, if a world has stated that already.
-    ///
-    /// # Errors
-    /// Another contract, or another team.
-    pub fn check(&self, contract: &DomainContract) -> Result<(), Error> {
-        self.facts()?.map_or(Ok(()), |facts| facts.check(&self.domain, contract))
     }
 
     /// What the domain is, once a world has stated it.

@@ -7,8 +7,8 @@ use sortie_core::link::Clock;
 use sortie_core::plan::Plan;
 use sortie_core::roles::{Counters, Identity, Presence};
 use sortie_core::wire::{
-    AnswerHead, AnswerStatus, Command, ControlStatus, ObservationHead, ObservationView, Reason,
-    Role, ServedFormat, StatMsg,
+    AnswerHead, AnswerStatus, Command, ControlReq, ControlStatus, ObservationHead, ObservationView,
+    Reason, Role, ServedFormat, StatMsg,
 };
 
 use super::decider::{Decider, Engine, PlanEngine};
@@ -355,7 +355,7 @@ impl Controlled for ServerPresence {
         &mut self.counters
     }
 
-    fn obey(&mut self, command: Command, _: &str) -> ControlStatus {
+    fn obey(&mut self, command: Command, _: &ControlReq) -> ControlStatus {
         match command {
             Command::ShutDown => {
                 self.is_over = true;

@@ -7,11 +7,12 @@ use std::time::Duration;
 use sortie_core::roles::{
     AllocatorError, AllocatorOptions, AllocatorRole, Counters, Identity, Poll,
 };
-use sortie_core::wire::{Command, ControlStatus, Role};
+use sortie_core::wire::{Command, ControlReq, ControlStatus, Role};
 use sortie_core::{Allocator, Shape};
 
+use super::abandoned::Abandoned;
 use super::children::Parent;
-use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive};
+use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive, is_named};
 use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAllocator, LinkSetup};
@@ -49,6 +50,7 @@ pub struct AllocatorProcess {
     schema: u64,
     contract: u64,
     shape: Shape,
+    abandoned: Abandoned,
     /// Dropped last.
     membership: Membership,
 }
@@ -87,7 +89,18 @@ impl AllocatorProcess {
         let leadership = Leadership::seek(&membership, &link, Duration::ZERO)?;
         settings.real_time.claim()?;
         let (schema, contract) = (format.schema, contract.hash);
-        Ok(Self { link, role, leadership, parent, identity, schema, contract, shape, membership })
+        Ok(Self {
+            link,
+            role,
+            leadership,
+            parent,
+            identity,
+            schema,
+            contract,
+            shape,
+            abandoned: Abandoned::new(settings.world_patience),
+            membership,
+        })
     }
 
     /// Allocates with `allocator`, in this thread, until the world ends, or until somebody has it load another model
@@ -101,18 +114,19 @@ impl AllocatorProcess {
         registry: Option<&mut dyn Registry>,
         stop: &Stop,
     ) -> Result<Ended, Error> {
-        let Self { link, role, leadership, parent, identity, membership, .. } = self;
         let (schema, contract, shape) = (self.schema, self.contract, self.shape);
-        let reloading = Reloading { registry, contract, shape, is_due: false };
+        let Self { link, role, leadership, parent, identity, abandoned, membership, .. } = self;
         let mut allocating = Allocating {
             role,
             allocator,
             leadership,
             membership,
             parent,
+            abandoned,
             identity,
             schema,
-            reloading,
+            reloading: Reloading { registry, contract, shape, is_due: false },
+            is_told_to_end: false,
         };
         drive(&mut allocating, link, stop)?;
         Ok(allocating.reloading.ended())
@@ -134,9 +148,11 @@ struct Allocating<'a, 'r> {
     leadership: &'a mut Leadership,
     membership: &'a Membership,
     parent: &'a Option<Parent>,
+    abandoned: &'a mut Abandoned,
     identity: &'a mut Identity,
     schema: u64,
     reloading: Reloading<'r>,
+    is_told_to_end: bool,
 }
 
 impl Process for Allocating<'_, '_> {
@@ -147,12 +163,13 @@ impl Process for Allocating<'_, '_> {
         self.role.poll(link, self.allocator).map_err(into_error)
     }
 
-    fn changes_model(&self) -> bool {
-        self.reloading.is_due
+    fn leaves_loop(&self) -> bool {
+        self.reloading.is_due || self.is_told_to_end
     }
 
     fn look_around(&mut self) -> Result<(), Error> {
-        Parent::check(self.parent)
+        Parent::check(self.parent)?;
+        self.abandoned.check(self.membership, self.role.tick())
     }
 }
 
@@ -174,13 +191,17 @@ impl Controlled for Allocating<'_, '_> {
         self.role.counters_mut()
     }
 
-    fn obey(&mut self, command: Command, text: &str) -> ControlStatus {
+    fn obey(&mut self, command: Command, request: &ControlReq) -> ControlStatus {
         match command {
+            Command::ShutDown if is_named(request) => {
+                self.is_told_to_end = true;
+                ControlStatus::Done
+            }
             Command::StepDown if self.role.term().is_some() => {
                 self.role.stand_by();
                 ControlStatus::Done
             }
-            Command::ReloadModel => match self.reloading.load(text) {
+            Command::ReloadModel => match self.reloading.load(request.text()) {
                 Ok(model) => {
                     self.identity.model = model;
                     self.role.change_model(model);

@@ -1,5 +1,6 @@
 //! The roles as processes: locks, link, loop, goodbye.
 
+mod abandoned;
 mod allocator;
 mod children;
 mod runner;
@@ -58,6 +59,8 @@ pub struct ProcessSettings {
     pub private: bool,
     /// Process id of the parent with which this process is to end.
     pub parent: Option<u32>,
+    /// How long it lives on without a world; `None` = a minute.
+    pub world_patience: Option<Duration>,
     /// How long a runner's waits linger before they sleep; with doorbells only. `None` = 100 us, or not at all where
     /// the world has a period.
     pub linger: Option<Duration>,
@@ -96,8 +99,8 @@ trait Process: Controlled {
 
     fn poll(&mut self, link: &mut Self::Link) -> Result<Poll, Error>;
 
-    /// Whether it leaves the loop to be bound to another model.
-    fn changes_model(&self) -> bool {
+    /// Whether it leaves the loop: for good, or to be bound to another model.
+    fn leaves_loop(&self) -> bool {
         false
     }
 
@@ -141,7 +144,7 @@ fn run<P: Process>(process: &mut P, link: &mut P::Link, stop: &Stop) -> Result<(
             Poll::Answered => u64::MAX,
             Poll::Wait { until_ns } => {
                 if link.answer_requests(&mut |request| answer(process, request)) {
-                    if process.changes_model() {
+                    if process.leaves_loop() {
                         return Ok(());
                     }
                     continue;
@@ -177,8 +180,8 @@ pub(crate) trait Controlled {
 
     fn counters_mut(&mut self) -> &mut Counters;
 
-    /// Obeys a command of its role, to which `text` belongs.
-    fn obey(&mut self, command: Command, text: &str) -> ControlStatus;
+    /// Obeys a command of its role, which `request` is.
+    fn obey(&mut self, command: Command, request: &ControlReq) -> ControlStatus;
 }
 
 /// Obeys a request, if it is this process that is meant.
@@ -201,8 +204,13 @@ fn status(process: &mut impl Controlled, request: &ControlReq) -> ControlStatus 
         Some(Command::Info) => ControlStatus::Done,
         Some(Command::SetLogLevel) if set_log_level(request.arg64) => ControlStatus::Done,
         Some(Command::SetLogLevel) => ControlStatus::BadArgument,
-        Some(command) => process.obey(command, request.text()),
+        Some(command) => process.obey(command, request),
     }
+}
+
+/// Whether a role without a world of its own obeys a request to end.
+fn is_named(request: &ControlReq) -> bool {
+    request.arg == std::process::id() || request.arg64 == ControlReq::EVERYBODY
 }
 
 /// Where Linux tells it; other systems do not.

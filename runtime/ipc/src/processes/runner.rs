@@ -1,11 +1,12 @@
 //! A runner process.
 
 use sortie_core::roles::{Counters, Identity, Poll, RunnerOptions, RunnerRole};
-use sortie_core::wire::{Command, ControlStatus, Role};
+use sortie_core::wire::{Command, ControlReq, ControlStatus, Role};
 use sortie_core::{Allocator, Policy, Shape};
 
+use super::abandoned::Abandoned;
 use super::children::Parent;
-use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive, linger};
+use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive, is_named, linger};
 use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
@@ -72,9 +73,10 @@ pub struct RunnerProcess {
     schema: u64,
     contract: u64,
     shape: Shape,
+    abandoned: Abandoned,
     _locks: Vec<Lock>,
     /// Dropped last.
-    _membership: Membership,
+    membership: Membership,
 }
 
 impl RunnerProcess {
@@ -133,8 +135,9 @@ impl RunnerProcess {
             schema,
             contract,
             shape,
+            abandoned: Abandoned::new(settings.world_patience),
             _locks: locks,
-            _membership: membership,
+            membership,
         })
     }
 
@@ -150,12 +153,22 @@ impl RunnerProcess {
         registry: Option<&mut dyn Registry>,
         stop: &Stop,
     ) -> Result<Ended, Error> {
-        let Self { link, role, parent, identity, seats, schema, contract, shape, .. } = self;
-        let (contract, shape) = (*contract, *shape);
-        let reloading = Reloading { registry, contract, shape, is_due: false };
-        let (seats, schema) = (*seats, *schema);
-        let mut runner =
-            Runner { role, policy, heuristic, parent, identity, seats, schema, reloading };
+        let (seats, schema) = (self.seats, self.schema);
+        let (contract, shape) = (self.contract, self.shape);
+        let Self { link, role, parent, identity, abandoned, membership, .. } = self;
+        let mut runner = Runner {
+            role,
+            policy,
+            heuristic,
+            membership,
+            parent,
+            abandoned,
+            identity,
+            seats,
+            schema,
+            reloading: Reloading { registry, contract, shape, is_due: false },
+            is_told_to_end: false,
+        };
         drive(&mut runner, link, stop)?;
         Ok(runner.reloading.ended())
     }
@@ -174,11 +187,14 @@ struct Runner<'a, 'p, 'h, 'r> {
     role: &'a mut RunnerRole,
     policy: &'p mut dyn Policy,
     heuristic: Option<&'h mut dyn Allocator>,
+    membership: &'a Membership,
     parent: &'a Option<Parent>,
+    abandoned: &'a mut Abandoned,
     identity: &'a mut Identity,
     seats: u64,
     schema: u64,
     reloading: Reloading<'r>,
+    is_told_to_end: bool,
 }
 
 impl Process for Runner<'_, '_, '_, '_> {
@@ -191,12 +207,13 @@ impl Process for Runner<'_, '_, '_, '_> {
         })
     }
 
-    fn changes_model(&self) -> bool {
-        self.reloading.is_due
+    fn leaves_loop(&self) -> bool {
+        self.reloading.is_due || self.is_told_to_end
     }
 
     fn look_around(&mut self) -> Result<(), Error> {
-        Parent::check(self.parent)
+        Parent::check(self.parent)?;
+        self.abandoned.check(self.membership, self.role.tick())
     }
 }
 
@@ -217,17 +234,21 @@ impl Controlled for Runner<'_, '_, '_, '_> {
         self.role.counters_mut()
     }
 
-    fn obey(&mut self, command: Command, text: &str) -> ControlStatus {
-        if command != Command::ReloadModel {
-            return ControlStatus::NotMine;
-        }
-        match self.reloading.load(text) {
-            Ok(model) => {
-                self.identity.model = model;
-                self.role.change_model(model);
+    fn obey(&mut self, command: Command, request: &ControlReq) -> ControlStatus {
+        match command {
+            Command::ShutDown if is_named(request) => {
+                self.is_told_to_end = true;
                 ControlStatus::Done
             }
-            Err(status) => status,
+            Command::ReloadModel => match self.reloading.load(request.text()) {
+                Ok(model) => {
+                    self.identity.model = model;
+                    self.role.change_model(model);
+                    ControlStatus::Done
+                }
+                Err(status) => status,
+            },
+            _ => ControlStatus::NotMine,
         }
     }
 }

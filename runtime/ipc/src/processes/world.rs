@@ -6,7 +6,7 @@ use sortie_core::roles::{
     Counters, Identity, Poll, RunnerOptions, RunnerRole, WorldError, WorldObserver, WorldOptions,
     WorldRole,
 };
-use sortie_core::wire::{Command, ControlStatus, FrameFormat, Role};
+use sortie_core::wire::{Command, ControlReq, ControlStatus, FrameFormat, Role};
 use sortie_core::{Policy, World};
 
 use super::children::Caretaker;
@@ -255,7 +255,7 @@ impl Controlled for Playing<'_, '_> {
         self.role.counters_mut()
     }
 
-    fn obey(&mut self, command: Command, _text: &str) -> ControlStatus {
+    fn obey(&mut self, command: Command, _request: &ControlReq) -> ControlStatus {
         match command {
             Command::Pause => self.role.pause(),
             Command::Resume => self.role.resume(),

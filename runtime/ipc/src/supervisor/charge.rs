@@ -20,6 +20,8 @@ const FIRST_PAUSE: Duration = Duration::from_millis(1);
 const LONGEST_PAUSE: Duration = Duration::from_millis(64);
 /// Pause before the next try where another process has the role.
 const BUSY_PAUSE: Duration = Duration::from_secs(1);
+/// Pause between two looks whether a place has become free.
+const STANDING_BY: Duration = Duration::from_millis(250);
 /// Exit code of a process whose role another one has.
 const BUSY: i32 = 75;
 /// Exit codes that come back whenever the same program is started in the same way. 141: nobody reads its output.
@@ -44,6 +46,10 @@ pub(super) struct Kept {
     state: State,
     /// Times in a row that it ended at once.
     vain: u32,
+    /// The process that it stands by behind.
+    behind: Option<u64>,
+    /// It was started for the world of another supervisor.
+    serves_another: bool,
 }
 
 enum State {
@@ -65,14 +71,35 @@ pub(super) enum After {
 
 impl Kept {
     pub(super) fn new(charge: Charge) -> Self {
-        Self { charge, state: State::Due(Instant::now()), vain: 0 }
+        Self {
+            charge,
+            state: State::Due(Instant::now()),
+            vain: 0,
+            behind: None,
+            serves_another: false,
+        }
     }
 
-    /// Starts the process if it is due; its id if it was.
-    pub(super) fn start_if_due(&mut self, now: Instant) -> Result<Option<u32>, Error> {
-        if !matches!(self.state, State::Due(at) if at <= now) {
-            return Ok(None);
-        }
+    /// Whether the process is to be started now.
+    pub(super) fn is_due(&self, now: Instant) -> bool {
+        matches!(self.state, State::Due(at) if at <= now)
+    }
+
+    /// Leaves its place to process `pid` for a while. Returns whether that is news.
+    pub(super) fn stand_by(&mut self, pid: u64, now: Instant) -> bool {
+        self.state = State::Due(now + STANDING_BY);
+        self.behind.replace(pid) != Some(pid)
+    }
+
+    /// Whether another process has its place.
+    pub(super) fn stands_by(&self) -> bool {
+        self.behind.is_some()
+    }
+
+    /// Starts the process: its id. One that serves the world of another supervisor is to serve this one's as well, once
+    /// that one has said goodbye.
+    pub(super) fn start(&mut self, now: Instant, serves_another: bool) -> Result<u32, Error> {
+        (self.behind, self.serves_another) = (None, serves_another);
         let failed = |source| Error::Spawn { name: self.charge.name.clone(), source };
         let mut child = self.charge.command.spawn().map_err(failed)?;
         let ended = match pidfd_open(Pid::from_child(&child), PidfdFlags::empty()) {
@@ -85,7 +112,7 @@ impl Kept {
         };
         let pid = child.id();
         self.state = State::Running { child, ended, since: now };
-        Ok(Some(pid))
+        Ok(pid)
     }
 
     /// Looks whether the process has ended: its id, how, and what follows.
@@ -108,6 +135,7 @@ impl Kept {
     fn judge(&mut self, policy: &RestartPolicy, status: ExitStatus, lived: Duration) -> After {
         let name = || self.charge.name.clone();
         match status.code() {
+            Some(0) if self.serves_another => return After::Again(FIRST_PAUSE),
             Some(0) => return After::Over,
             _ if policy.never => return After::Over,
             Some(BUSY) => return After::Again(BUSY_PAUSE),

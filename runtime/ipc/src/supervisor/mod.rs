@@ -59,6 +59,13 @@ pub enum SupervisorEvent<'a> {
         /// Its id.
         pid: u32,
     },
+    /// Another process has its place: it waits for that to end.
+    StandsBy {
+        /// What it is.
+        name: &'a str,
+        /// The other process; 0 = unknown.
+        pid: u64,
+    },
     /// A process said hello.
     Joined {
         /// What it is.
@@ -97,13 +104,15 @@ impl std::fmt::Display for SupervisorEvent<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match *self {
             Self::Started { name, pid } => write!(f, "{name} started as process {pid}"),
+            Self::StandsBy { name, pid } => write!(f, "{name} stands by behind process {pid}"),
             Self::Joined { name, pid } => write!(f, "{name} joined, process {pid}"),
             Self::Leads { name, pid } => write!(f, "{name} leads the allocators, process {pid}"),
             Self::LeaderSilent { name, pid } => {
                 write!(f, "{name} leads but does not answer, process {pid} is killed")
             }
             Self::Ended { name, pid, ref status, again } => {
-                write!(f, "{name} {}, process {pid}", ending(status))?;
+                let how = if status.success() { "has ended".to_string() } else { ending(status) };
+                write!(f, "{name} {how}, process {pid}")?;
                 match again {
                     Some(pause) => write!(f, "; starts again in {} ms", pause.as_millis()),
                     None => Ok(()),
@@ -125,7 +134,7 @@ pub struct Supervision {
 /// Keeps `charges` alive in `domain` until the world among them, or all of them, have done their work,
 /// or `stop` is set. None of them outlives this call.
 ///
-/// Processes started by hand take part as well: where one has a charge's role, the charge waits for it.
+/// Processes started by hand take part as well: where one has a charge's place, the charge stands by behind it.
 ///
 /// # Errors
 /// A process ends with an exit code that would come again, or dies at once too often; the domain
@@ -232,11 +241,26 @@ impl Supervisor {
 
     fn start_due(&mut self, tell: Tell<'_>) -> Result<(), Error> {
         let now = Instant::now();
-        for kept in &mut self.kept {
-            if let Some(pid) = kept.start_if_due(now)? {
-                self.done.starts += 1;
-                tell(&SupervisorEvent::Started { name: &kept.charge.name, pid });
+        let is_world = |kept: &Kept| kept.charge.role == Role::World;
+        let mut serves_another = self.kept.iter().any(|kept| is_world(kept) && kept.stands_by());
+        let Self { membership, kept, done, .. } = self;
+        let due: Vec<&mut Kept> = kept.iter_mut().filter(|kept| kept.is_due(now)).collect();
+        // All are asked for before any is started, which keeps others waiting while it joins.
+        let holder = |kept: &&mut Kept| membership.holder_of(kept.charge.role, kept.charge.agents);
+        let holders = due.iter().map(holder).collect::<Result<Vec<_>, _>>()?;
+        for (kept, holder) in due.into_iter().zip(holders) {
+            if is_world(kept) {
+                serves_another = holder.is_some();
             }
+            if let Some(pid) = holder {
+                if kept.stand_by(pid, now) {
+                    tell(&SupervisorEvent::StandsBy { name: &kept.charge.name, pid });
+                }
+                continue;
+            }
+            let pid = kept.start(now, serves_another)?;
+            done.starts += 1;
+            tell(&SupervisorEvent::Started { name: &kept.charge.name, pid });
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Processes that are told what to do, and what they tell of themselves.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::process::Child;
+use std::process::{Child, Stdio};
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
@@ -13,7 +13,7 @@ use sortie_ipc::{
     WorldSettings, control, world_process,
 };
 
-use crate::processes::{child, running_world};
+use crate::processes::{IMPATIENT, child, running, running_world};
 use crate::toy::{self, ToyWorld, Watchdog};
 
 fn tell(domain: &Domain, command: Command) -> Vec<Answer> {
@@ -89,15 +89,70 @@ fn one_process_is_meant_or_all_whom_it_concerns() {
     assert_eq!(outcome(&order(Command::SetLogLevel, 4)), said(ControlStatus::Done));
     assert_eq!(outcome(&order(Command::SetLogLevel, 9)), said(ControlStatus::BadArgument));
     assert_eq!(outcome(&order(Command::ReloadModel, 0)), said(ControlStatus::NotSupported));
-    // Only a leader can step down, and only a world ends.
+    // Only a leader can step down.
     assert_eq!(outcome(&order(Command::StepDown, 0)), []);
-    assert_eq!(outcome(&order(Command::ShutDown, 0)), []);
     assert_eq!(tell(&domain, Command::ReloadModel).len(), 3);
     let quieter = Order { number: 5, ..Order::new(Command::SetLogLevel) };
     assert_eq!(control(&domain, &quieter).unwrap().len(), 4);
     end(&domain, world);
     let nobody = control(&domain, &Order::new(Command::Info)).unwrap_err();
     assert_eq!(nobody.exit_code(), 69);
+}
+
+/// A team without its world, which was killed.
+fn orphans<const N: usize>(domain: &Domain, roles: [&str; N]) -> [Child; N] {
+    let mut world = child(domain, "world without team").stdout(Stdio::piped()).spawn().unwrap();
+    let team = roles.map(|role| child(domain, role).spawn().unwrap());
+    world = running(world);
+    await_info(domain, |answers| answers.len() == N + 1);
+    world.kill().unwrap();
+    world.wait().unwrap();
+    team
+}
+
+#[test]
+fn an_order_to_end_reaches_those_who_have_no_world_any_more() {
+    let _watchdog = Watchdog::new();
+    for _ in 0..3 {
+        let domain = toy::domain();
+        let team = orphans(&domain, ["0,2", "1", "allocator", "allocator"]);
+        let told = tell(&domain, Command::ShutDown);
+        assert_eq!(told.len(), 4, "{told:?}");
+        assert!(told.iter().all(|answer| answer.status == Some(ControlStatus::Done)));
+        for mut process in team {
+            assert_eq!(process.wait().unwrap().code(), Some(0));
+        }
+        assert_eq!(toy::leftovers(&domain), [""; 0]);
+    }
+}
+
+#[test]
+fn one_process_of_a_team_ends_where_it_is_named() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let [mut first, mut second] = orphans(&domain, ["0,1,2", "allocator"]);
+    let named = Order { process: Some(first.id()), ..Order::new(Command::ShutDown) };
+    let told = control(&domain, &named).unwrap();
+    assert_eq!((told.len(), told[0].status), (1, Some(ControlStatus::Done)));
+    assert_eq!(first.wait().unwrap().code(), Some(0));
+    assert_eq!(second.try_wait().unwrap(), None);
+    assert_eq!(tell(&domain, Command::ShutDown).len(), 1);
+    assert_eq!(second.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn who_has_had_no_world_for_too_long_ends() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let impatient = [IMPATIENT.to_owned() + "0,2", IMPATIENT.to_owned() + "allocator"];
+    let [runner, allocator, mut patient] = orphans(&domain, [&impatient[0], &impatient[1], "1"]);
+    for mut process in [runner, allocator] {
+        assert_eq!(process.wait().unwrap().code(), Some(69));
+    }
+    assert_eq!(patient.try_wait().unwrap(), None);
+    assert_eq!(tell(&domain, Command::ShutDown).len(), 1);
+    assert_eq!(patient.wait().unwrap().code(), Some(0));
+    assert_eq!(toy::leftovers(&domain), [""; 0]);
 }
 
 /// The newest status of each process, as a watcher sees them, until they are as expected.

@@ -27,6 +27,8 @@ use crate::unallocated;
 const ROLE: &str = "SORTIE_TEST_ROLE";
 const DOMAIN: &str = "SORTIE_TEST_DOMAIN";
 const PARENT: &str = "SORTIE_TEST_PARENT";
+/// Before the role of a process that ends as soon as it finds its world gone.
+pub(crate) const IMPATIENT: &str = "impatient ";
 /// What a world process prints when its first tick is done.
 const RUNNING: &str = "the team acts";
 
@@ -54,7 +56,12 @@ fn child_process() {
     let Ok(role) = std::env::var(ROLE) else { return };
     let domain = Domain::new(&std::env::var(DOMAIN).unwrap()).unwrap();
     let parent = std::env::var(PARENT).unwrap().parse().unwrap();
-    let settings = ProcessSettings { parent: Some(parent), ..ProcessSettings::default() };
+    let (role, world_patience) = match role.strip_prefix(IMPATIENT) {
+        Some(role) => (role.to_owned(), Some(Duration::ZERO)),
+        None => (role, None),
+    };
+    let parent = Some(parent);
+    let settings = ProcessSettings { parent, world_patience, ..ProcessSettings::default() };
     let stop = Stop::on_signals().unwrap();
     if [policy::SERVER, policy::CLIENT].contains(&role.as_str()) {
         policy::play(&role, &domain, &stop);

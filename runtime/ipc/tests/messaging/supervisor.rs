@@ -33,7 +33,9 @@ impl Told {
             }
             SupervisorEvent::Leads { pid, .. } => self.leaders.push(pid),
             SupervisorEvent::LeaderSilent { pid, .. } => self.silent.push(pid),
-            SupervisorEvent::Ended { .. } | SupervisorEvent::Joined { .. } => {}
+            SupervisorEvent::Ended { .. }
+            | SupervisorEvent::Joined { .. }
+            | SupervisorEvent::StandsBy { .. } => {}
         }
     }
 }

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
+use sortie_bundle::files::{MOST_BYTES, read_file};
 use sortie_bundle::{
     AGENT, AgentGraph, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment as Described,
     FallbackAllocation, Golden, GoldenCase, Limits, Network, OPTION_GRAPHS, OPTIONS, POLICY,
@@ -330,5 +331,5 @@ pub fn measured_table(measured: &[Measured]) -> String {
 /// It cannot be read.
 pub fn read_part(folder: &Path, name: &str) -> Result<Vec<u8>, LearnError> {
     let path = folder.join(name);
-    std::fs::read(&path).map_err(LearnError::file(path))
+    read_file(&path, MOST_BYTES).map_err(LearnError::file(path))
 }

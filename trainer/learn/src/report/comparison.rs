@@ -38,8 +38,8 @@ pub struct GroupSummary {
     pub label: String,
     /// Runs.
     pub runs: usize,
-    /// Share of solved episodes at the end.
-    pub success: Spread,
+    /// Share of solved episodes at the end; absent where nothing can be solved.
+    pub success: Option<Spread>,
     /// Where the success is from: `result` (fresh episodes) or `curve` (last evaluation of training).
     pub success_from: &'static str,
     /// The environment's metrics by their names, where all runs say so.
@@ -57,7 +57,7 @@ pub struct GroupSummary {
     pub cpu_s: Spread,
     /// Seconds by the clock.
     pub wall_s: Spread,
-    /// When the runs first reached a level, by the level as text: `0.60`.
+    /// When the runs first reached a level of success, by the level as text: `0.60`.
     pub until: BTreeMap<String, Until>,
 }
 
@@ -92,8 +92,9 @@ pub struct RunSummary {
     pub run: String,
     /// Its seed, where it says so.
     pub seed: Option<u64>,
-    /// Share of solved episodes: of the final evaluation, else of the last one during training.
-    pub success: f64,
+    /// Share of solved episodes: of the final evaluation, else of the last one during training; absent where nothing can
+    /// be solved.
+    pub success: Option<f64>,
     /// Environment steps learned for.
     pub env_steps: f64,
     /// Seconds of processor time.
@@ -142,8 +143,9 @@ impl Comparison {
 
     /// The levels that tables tell of: shares of solved episodes.
     pub fn levels(&self) -> Vec<&String> {
-        let first = self.groups.iter().take(1).filter(|_| self.score == Score::Success);
-        first.flat_map(|group| group.until.keys()).collect()
+        let has_levels = |group: &&GroupSummary| !group.until.is_empty();
+        let first = self.groups.iter().find(has_levels);
+        first.into_iter().flat_map(|group| group.until.keys()).collect()
     }
 }
 
@@ -151,7 +153,7 @@ impl GroupSummary {
     /// What is compared of it.
     pub fn of_score(&self, score: Score) -> Option<Spread> {
         match score {
-            Score::Success => Some(self.success),
+            Score::Success => self.success,
             Score::Return => self.return_mean,
         }
     }
@@ -162,7 +164,9 @@ impl GroupSummary {
         };
         let fresh = has_results(group);
         let last = |value: &dyn Fn(&Point) -> f64| group.spread(|run| Some(value(&run.last())));
+        let can_solve = group.runs.iter().any(|run| run.score == Score::Success);
         let success = |run: &RunRecord| match &run.result {
+            _ if !can_solve => None,
             Some(result) if fresh => Some(result.success),
             _ => Some(run.last().success),
         };
@@ -174,7 +178,7 @@ impl GroupSummary {
         Some(Self {
             label: group.label.clone(),
             runs: group.runs.len(),
-            success: group.spread(success)?,
+            success: group.spread(success),
             success_from: if fresh { "result" } else { "curve" },
             metrics: metrics(group),
             timeouts: result(&|result| result.timeouts),
@@ -183,7 +187,7 @@ impl GroupSummary {
             env_steps: last(&|point| point.env_steps)?,
             cpu_s: last(&|point| point.cpu_s)?,
             wall_s: last(&|point| point.wall_s)?,
-            until: LEVELS.iter().map(level).collect(),
+            until: LEVELS.iter().filter(|_| can_solve).map(level).collect(),
         })
     }
 }
@@ -194,7 +198,7 @@ impl RunSummary {
             label: group.label.clone(),
             run: run.folder.display().to_string(),
             seed: run.seed,
-            success: run.success(),
+            success: (run.score == Score::Success).then(|| run.success()),
             env_steps: run.last().env_steps,
             cpu_s: run.last().cpu_s,
             wall_s: run.last().wall_s,
@@ -361,7 +365,7 @@ pub(super) mod tests {
         let runs = vec![evaluated(1, 0.5, &[]), evaluated(2, 0.75, &[])];
         let comparison = Comparison::of("t", &[group("a", runs)]);
         let summary = &comparison.groups[0];
-        assert_eq!((summary.success.mean, summary.success_from), (0.625, "result"));
+        assert_eq!((summary.success.unwrap().mean, summary.success_from), (0.625, "result"));
         assert_eq!(summary.timeouts.unwrap().mean, 0.125);
         assert_eq!(summary.return_mean, None);
         let metrics: Vec<_> =
@@ -375,7 +379,7 @@ pub(super) mod tests {
         let runs = vec![evaluated(1, 0.5, &[]), run(2, &[(100.0, 0.25)])];
         let comparison = Comparison::of("t", &[group("a", runs)]);
         let summary = &comparison.groups[0];
-        assert_eq!((summary.success.mean, summary.success_from), (0.45, "curve"));
+        assert_eq!((summary.success.unwrap().mean, summary.success_from), (0.45, "curve"));
         assert!(summary.metrics.is_empty());
         assert!(comparison.notes[0].contains("not every run"), "{:?}", comparison.notes);
         assert!(comparison.notes[1].contains("100 to 300"), "{:?}", comparison.notes);
@@ -393,6 +397,31 @@ pub(super) mod tests {
         assert_eq!((steps.mean, steps.min, steps.max), (300.0, 200.0, 400.0));
         assert_eq!(until["0.60"].cpu_s.unwrap().max, 0.4);
         assert_eq!(until["0.80"], Until { reached: 0, env_steps: None, cpu_s: None });
+    }
+
+    #[test]
+    fn what_an_environment_does_not_have_is_not_shown() {
+        let unsolvable = || RunRecord { score: Score::Return, ..run(1, &[(100.0, 0.0)]) };
+        let groups =
+            [group("returns", vec![unsolvable()]), group("a", vec![evaluated(1, 0.5, &[])])];
+        let comparison = Comparison::of("t", &groups);
+        let [returns, solving] = &comparison.groups[..] else { panic!("two groups") };
+        assert_eq!((returns.success, returns.until.len()), (None, 0));
+        assert_eq!((solving.until.len(), comparison.levels().len()), (2, 2));
+        assert_eq!(
+            comparison.runs.iter().map(|run| run.success).collect::<Vec<_>>(),
+            [None, Some(0.5)]
+        );
+        let text = comparison.markdown();
+        let rows: Vec<&str> = text.lines().filter(|line| line.starts_with("| returns |")).collect();
+        assert!(!rows.is_empty() && rows.iter().all(|row| !row.contains("never")), "{text}");
+        let columns = |line: &str| line.matches('|').count();
+        assert!(
+            rows.iter().all(|row| text
+                .lines()
+                .any(|line| line.starts_with("| method") && columns(line) == columns(row))),
+            "{text}"
+        );
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! What a run left in its folder, as far as comparing it needs.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use sortie_bundle::files::{MOST_BYTES, read_text};
 
 use super::Row;
 use crate::error::LearnError;
@@ -177,7 +177,7 @@ fn split_seed(name: &str) -> (String, Option<u64>) {
 }
 
 fn read_rows(path: &Path) -> Result<Vec<Row>, LearnError> {
-    let text = fs::read_to_string(path).map_err(LearnError::file(path))?;
+    let text = read_text(path, MOST_BYTES).map_err(LearnError::file(path))?;
     let row = |(index, line)| {
         Row::from_json(line)
             .map_err(|error| LearnError::format(path, format!("line {}: {error}", index + 1)))
@@ -213,7 +213,7 @@ fn read_description(path: &Path) -> Result<toml::Table, LearnError> {
     if !path.exists() {
         return Ok(toml::Table::new());
     }
-    let text = fs::read_to_string(path).map_err(LearnError::file(path))?;
+    let text = read_text(path, MOST_BYTES).map_err(LearnError::file(path))?;
     text.parse().map_err(|error: toml::de::Error| LearnError::format(path, error.message()))
 }
 
@@ -221,12 +221,14 @@ fn read_result(path: &Path) -> Result<Option<FinalResult>, LearnError> {
     if !path.exists() {
         return Ok(None);
     }
-    let text = fs::read_to_string(path).map_err(LearnError::file(path))?;
+    let text = read_text(path, MOST_BYTES).map_err(LearnError::file(path))?;
     serde_json::from_str(&text).map(Some).map_err(|error| LearnError::format(path, error))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     const LINES: &str = "{\"env_steps\":10,\"cpu_s\":1.5,\"wall_s\":2,\"success\":0.25,\"new\":7}\n\

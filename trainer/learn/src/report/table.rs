@@ -79,7 +79,11 @@ impl Comparison {
                 duration(group.cpu_s.mean),
                 duration(group.wall_s.mean),
             ];
-            for until in levels.iter().filter_map(|level| group.until.get(*level)) {
+            for level in &levels {
+                let Some(until) = group.until.get(*level) else {
+                    cells.extend([String::new(), String::new()]);
+                    continue;
+                };
                 let part = |reached: Option<Reached>, show: fn(f64) -> String| {
                     reached.map_or("never".to_owned(), |r| {
                         reached_text(r, until.reached, group.runs, show)

@@ -12,13 +12,16 @@
 
 use std::collections::BTreeMap;
 use std::error::Error;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crc::{CRC_64_XZ, Crc, Table};
 use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorInfo};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use sortie_bundle::files::{Durability, sync_folder, write_parts};
+use sortie_bundle::files::{
+    Durability, MOST_TEXT_BYTES, read_file, read_text, sync_folder, write_parts,
+};
 use sortie_nn::layers::products::Products;
 use sortie_nn::tape::Tensor;
 
@@ -222,7 +225,7 @@ impl Checkpoint {
     /// Opens a checkpoint's folder and checks its version and its files.
     pub fn open(place: &Path, purpose: OpenFor) -> Result<Self, LearnError> {
         let path = place.join(MANIFEST);
-        let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
+        let text = read_text(&path, MOST_TEXT_BYTES).map_err(LearnError::file(&path))?;
         let table: toml::Table = text.parse().map_err(|e| LearnError::format(&path, e))?;
         let format = table.get("format").and_then(toml::Value::as_integer);
         let oldest = if purpose == OpenFor::Use { READABLE } else { FORMAT };
@@ -286,7 +289,11 @@ impl Checkpoint {
         if view.dtype() != Dtype::F32 || numbers.len() != count || !rest.is_empty() {
             return Err(self.bad(format!("{name} has another size or type")));
         }
-        to.extend(numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)));
+        let numbers = numbers.iter().map(|bytes| f32::from_le_bytes(*bytes));
+        if let Some(place) = numbers.clone().position(|number| !number.is_finite()) {
+            return Err(self.bad(format!("{name}: number {place} is not finite")));
+        }
+        to.extend(numbers);
         Ok(())
     }
 
@@ -297,12 +304,13 @@ impl Checkpoint {
 
     fn read(&self, name: &str) -> Result<Vec<u8>, LearnError> {
         let path = self.place.join(name);
-        let content = std::fs::read(&path).map_err(LearnError::file(&path))?;
-        if self.manifest.files.get(name) == Some(&FileSum::of([&*content])) {
-            Ok(content)
-        } else {
-            Err(LearnError::format(path, "cut short or damaged: its checksum is another"))
-        }
+        let damaged = || LearnError::format(&path, "cut short or damaged: its checksum is another");
+        let stated = self.manifest.files.get(name).ok_or_else(damaged)?;
+        let content = match read_file(&path, stated.bytes) {
+            Err(error) if error.kind() == ErrorKind::FileTooLarge => return Err(damaged()),
+            read => read.map_err(LearnError::file(&path))?,
+        };
+        if *stated == FileSum::of([&*content]) { Ok(content) } else { Err(damaged()) }
     }
 
     fn check_size(&self, name: &str) -> Result<(), LearnError> {

@@ -4,7 +4,7 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
-use sortie_bundle::files::{self, Durability, replace_file};
+use sortie_bundle::files::{self, Durability, MOST_BYTES, read_text, replace_file};
 
 use super::{Checkpoints, CurvePoint, RunDescription, RunResult, TrainingPoint, curve};
 use crate::error::LearnError;
@@ -93,7 +93,7 @@ impl RunFolder {
     /// How the run learns.
     pub fn read_description(&self) -> Result<RunDescription, LearnError> {
         let path = self.description_path();
-        let text = fs::read_to_string(&path).map_err(LearnError::file(&path))?;
+        let text = read_text(&path, MOST_BYTES).map_err(LearnError::file(&path))?;
         RunDescription::from_toml(&text).map_err(|error| LearnError::format(path, error))
     }
 
@@ -146,7 +146,7 @@ impl RunFolder {
         if !path.exists() {
             return Ok(Vec::new());
         }
-        let text = fs::read_to_string(&path).map_err(LearnError::file(&path))?;
+        let text = read_text(&path, MOST_BYTES).map_err(LearnError::file(&path))?;
         curve::from_lines(&text).map_err(|error| LearnError::format(path, error))
     }
 

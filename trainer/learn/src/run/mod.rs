@@ -20,6 +20,7 @@ mod setup;
 
 use std::path::Path;
 
+use sortie_bundle::files::{MOST_TEXT_BYTES, read_text};
 use sortie_nn::layers::products::Products;
 
 use crate::error::LearnError;
@@ -42,7 +43,7 @@ pub fn read_curve(folder: &Path) -> Result<Vec<CurvePoint>, LearnError> {
 /// The name of the method that the run in a folder learns by.
 pub fn method_of(folder: &Path) -> Result<String, LearnError> {
     let path = folder.join("train.toml");
-    let text = std::fs::read_to_string(&path).map_err(LearnError::file(&path))?;
+    let text = read_text(&path, MOST_TEXT_BYTES).map_err(LearnError::file(&path))?;
     let table =
         crate::configuration::parsed(&text).map_err(|error| LearnError::format(&path, error))?;
     let method = table.get("method").and_then(toml::Value::as_str);

@@ -300,7 +300,14 @@ impl Difference {
     /// The keys whose values are others in `theirs`: `run.steps` first, on which others may depend, then in the order of
     /// the alphabet.
     pub fn between(ours: &Setup, theirs: &Setup) -> Result<Vec<Self>, LearnError> {
-        let (ours, theirs) = (values(&ours.to_toml()?)?, values(&theirs.to_toml()?)?);
+        let tables = [ours, theirs].map(|setup| configuration::parsed(&setup.to_toml()?));
+        let [ours, theirs] = tables;
+        Ok(Self::between_tables(&ours?, &theirs?))
+    }
+
+    /// The same of what two files say.
+    pub fn between_tables(ours: &Table, theirs: &Table) -> Vec<Self> {
+        let (ours, theirs) = (by_key(ours), by_key(theirs));
         let mut keys: Vec<&String> = ours.keys().chain(theirs.keys()).collect();
         keys.sort_by_key(|key| (*key != "run.steps", *key));
         keys.dedup();
@@ -314,7 +321,7 @@ impl Difference {
             ours: value(&ours, key),
             theirs: value(&theirs, key),
         };
-        Ok(keys.into_iter().filter(differ).map(difference).collect())
+        keys.into_iter().filter(differ).map(difference).collect()
     }
 }
 
@@ -325,9 +332,13 @@ pub fn keys_in(text: &str) -> Result<Vec<String>, LearnError> {
 
 /// All values of a file by their keys.
 fn values(text: &str) -> Result<BTreeMap<String, Value>, LearnError> {
+    Ok(by_key(&configuration::parsed(text)?))
+}
+
+fn by_key(table: &Table) -> BTreeMap<String, Value> {
     let mut values = BTreeMap::new();
-    flatten("", configuration::parsed(text)?, &mut values);
-    Ok(values)
+    flatten("", table.clone(), &mut values);
+    values
 }
 
 fn flatten(name: &str, table: Table, to: &mut BTreeMap<String, Value>) {

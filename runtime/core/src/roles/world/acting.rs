@@ -132,14 +132,16 @@ impl WorldRole {
         self.watch_leader();
         let now = link.now_ns();
         self.note_times(running_ns, now);
+        let interval_ns = self.interval_ns();
+        let next_ns = self.due_ns.saturating_add(interval_ns);
+        self.timing.overran = interval_ns != 0 && now > next_ns;
         observer.tick(&self.report(actions, outcome, now));
         let asked = self.awaited() & !self.filled;
         self.seats.note_answers(asked, self.answered, self.options.absent_after);
         self.last_actions = applied;
         self.step += 1;
         self.allocate_next |= outcome.tasks_changed;
-        let interval = self.options.period_ns.max(self.options.tick_interval_ns);
-        self.phase = Phase::Pacing { until_ns: self.due_ns.saturating_add(interval) };
+        self.phase = Phase::Pacing { until_ns: next_ns };
         if outcome.episode_ended {
             self.end_episode(link, world, observer)?;
         }
@@ -204,6 +206,7 @@ impl WorldRole {
             allocation: newest,
             published_ns: self.published_ns,
             tick_ns: now_ns.saturating_sub(self.published_ns),
+            timing: self.timing,
             allocations_missed: self.allocations_missed,
             degraded: self.is_degraded(),
             outcome,

@@ -26,6 +26,8 @@ pub struct TickReport<'a> {
     pub published_ns: u64,
     /// From the frame's publishing to the end of the world's step.
     pub tick_ns: u64,
+    /// How the tick kept to the rate.
+    pub timing: Timing,
     /// Allocations asked for, one after the other, since the last one came. A leader that leaves three
     /// unanswered is to step down.
     pub allocations_missed: u32,
@@ -33,6 +35,17 @@ pub struct TickReport<'a> {
     pub degraded: bool,
     /// What the step did.
     pub outcome: StepOutcome,
+}
+
+/// How a tick kept to the rate that its world is held to; zeros where it is held to none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Timing {
+    /// From the time at which the frame was due to its publishing.
+    pub delay_ns: u64,
+    /// Whole periods in that time: frames that should have come and never will.
+    pub skipped: u64,
+    /// The step ended after the next frame was due.
+    pub overran: bool,
 }
 
 impl<'a> TickReport<'a> {

@@ -4,7 +4,7 @@ use sortie_core::link::{
     ActionRx, AllocRx, Bell, Clock, FrameBlock, FrameTx, LinkError, StatRx, StatTx, Wake,
 };
 use sortie_core::roles::{
-    Identity, Poll, TickReport, WorldError, WorldObserver, WorldOptions, WorldRole,
+    Identity, Poll, TickReport, Timing, WorldError, WorldObserver, WorldOptions, WorldRole,
 };
 use sortie_core::wire::{
     ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, Role, StatMsg,
@@ -138,6 +138,7 @@ pub(crate) struct Watch {
     /// Ticks of the allocations that are reported.
     pub(crate) allocated: Vec<Option<u64>>,
     pub(crate) ended: Vec<(u32, u32)>,
+    pub(crate) timings: Vec<Timing>,
 }
 
 impl WorldObserver for Watch {
@@ -145,6 +146,7 @@ impl WorldObserver for Watch {
         self.actions.push(report.actions.to_vec());
         self.answered.push(report.answered);
         self.degraded.push(report.degraded);
+        self.timings.push(report.timing);
         self.allocated.push(report.allocation.map(|allocation| allocation.tick));
     }
 

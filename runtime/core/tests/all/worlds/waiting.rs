@@ -1,6 +1,6 @@
 //! Whom and what a world waits for.
 
-use sortie_core::roles::{Poll, WorldError};
+use sortie_core::roles::{Poll, Timing, WorldError, WorldOptions};
 use sortie_core::wire::{ActionMsg, FrameKind, Role, StatMsg};
 
 use super::stage::{ALLOCATOR, PERIOD, START, Stage, wait};
@@ -127,4 +127,49 @@ fn frames_keep_to_the_period_of_a_world_that_wakes_late() {
         }
     }
     assert_eq!(published, [0, 1_100, 2_100, 4_000, 5_100, 6_100]);
+    // The last frame is not answered yet.
+    let timings = stage.watch.timings.iter();
+    let delays: Vec<_> = timings.map(|timing| (timing.delay_ns, timing.skipped)).collect();
+    assert_eq!(delays, [(0, 0), (100, 0), (100, 0), (1_000, 1), (100, 0)]);
+    let counters = stage.role.counters();
+    assert_eq!((counters.longest_delay_ns, counters.skipped_periods), (1_000, 1));
+}
+
+/// A world that is stopped while it waits, or while its team acts, for `stopped` of a period of a thousand.
+fn stopped(acting: bool, stopped: u64, pace: fn(&mut WorldOptions)) -> Vec<Timing> {
+    let mut stage = Stage::new(|options| {
+        (options.required, options.allocator) = (0, false);
+        (options.period_ns, options.tick_interval_ns) = (0, 0);
+        pace(options);
+    });
+    stage.poll().unwrap();
+    if acting {
+        // Silent: the world waits for it.
+        stage.join(0b01, false);
+    }
+    while stage.watch.timings.len() < 4 {
+        let is_struck = stage.watch.timings.len() == 2;
+        let is_acting = stage.role.tick() & 0xFFFF_FFFF == 3;
+        if let Poll::Wait { until_ns } = stage.poll().unwrap() {
+            let late = if is_struck && is_acting == acting { stopped } else { 0 };
+            stage.table.now_ns = until_ns + late;
+        }
+    }
+    stage.watch.timings
+}
+
+#[test]
+fn a_world_that_was_stopped_says_for_how_long_and_which_periods_passed() {
+    let on_time = Timing::default();
+    let late = |delay_ns, skipped| Timing { delay_ns, skipped, overran: false };
+    let overran = Timing { overran: true, ..on_time };
+    let by_period: fn(&mut WorldOptions) = |options| options.period_ns = PERIOD;
+    let by_interval: fn(&mut WorldOptions) = |options| options.tick_interval_ns = PERIOD;
+    for pace in [by_period, by_interval] {
+        let waiting = stopped(false, 5_400, pace);
+        assert_eq!(waiting, [on_time, on_time, late(5_400, 5), on_time]);
+    }
+    // An agent does not answer: the world waits for 800 of the period.
+    assert_eq!(stopped(true, 5_400, by_period), [on_time, on_time, overran, late(5_200, 5)]);
+    assert_eq!(stopped(true, 5_400, |options| options.patience_ns = 10), [on_time; 4]);
 }

@@ -89,6 +89,25 @@ fn a_changed_byte_is_found_where_it_matters() {
 }
 
 #[test]
+fn weights_that_are_not_finite_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let checkpoints = Checkpoints::new(folder.path());
+    for wrong in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        let mut written = Written::default();
+        let numbers = in_bytes(&[1.0, f32::MAX, wrong]);
+        written.tensors.push(("mixer/online".to_owned(), vec![1, 3], numbers));
+        checkpoints.write(1, &written).unwrap();
+        let found = checkpoints.newest(OpenFor::Use).unwrap();
+        let refused = found.checkpoint.whole_vector("mixer/online", 3).unwrap_err().to_string();
+        assert!(refused.ends_with("mixer/online: number 2 is not finite"), "{refused}");
+        assert!(matches!(
+            found.checkpoint.whole_vector("mixer/online", 3),
+            Err(LearnError::Format { .. })
+        ));
+    }
+}
+
+#[test]
 fn another_format_is_refused_by_its_number() {
     let folder = tempfile::tempdir().unwrap();
     let checkpoints = Checkpoints::new(folder.path());
