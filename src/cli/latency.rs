@@ -81,7 +81,9 @@ mod tests {
     fn a_spread_is_the_standard_deviation() {
         let mut spread = Spread::default();
         assert_eq!(spread.deviation(), 0.0);
-        [2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0].map(|value| spread.record(value));
+        for value in [2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0] {
+            spread.record(value);
+        }
         assert_eq!(spread.deviation(), 2.0);
     }
 
