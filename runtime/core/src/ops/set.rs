@@ -59,6 +59,9 @@ impl OperatorSet for Policies {
         OpKind::LstmCell,
         OpKind::Convolve,
         OpKind::DenseRows,
+        OpKind::ConvolvePatches,
+        OpKind::FoldPatches,
+        OpKind::Int8ConvolvePatches,
     ];
 }
 

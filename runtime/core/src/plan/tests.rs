@@ -5,6 +5,7 @@ mod cells;
 mod drafts;
 mod in_team;
 mod int8;
+mod pictures;
 mod policy;
 mod refusals;
 mod steps;

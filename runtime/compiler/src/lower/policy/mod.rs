@@ -7,10 +7,13 @@ mod arrange;
 mod convolve;
 mod elementwise;
 mod moved;
+mod pictures;
+mod pools;
 mod products;
 mod rows;
 mod tidy;
 mod values;
+mod windows;
 
 use std::collections::{HashMap, HashSet};
 
@@ -44,6 +47,7 @@ use tract_onnx::tract_core::ops::source::TypedSource;
 
 use super::agent::{Arena, at_most};
 use crate::flat::FlatGraph;
+use convolve::StoredTiles;
 use moved::nearest;
 use values::{PolicyWeights, StoredLayer, Values};
 
@@ -114,6 +118,8 @@ struct Lowering<'m> {
     longest_sparse: usize,
     /// The layers among the weights, by what they are.
     layers: HashMap<[u8; 32], StoredLayer>,
+    /// The same of layers on patches.
+    tiles: HashMap<[u8; 32], StoredTiles>,
 }
 
 type Lowered<T> = Result<T, CompileError>;
@@ -129,6 +135,7 @@ impl<'m> Lowering<'m> {
             states: Vec::new(),
             longest_sparse: 0,
             layers: HashMap::new(),
+            tiles: HashMap::new(),
         }
     }
 
@@ -159,6 +166,15 @@ impl<'m> Lowering<'m> {
         if is_known || op.is::<TypedSource>() || op.is::<Const>() {
             return Ok(());
         }
+        self.values.as_picture = self.as_picture(node);
+        let lowered = self.usual(node);
+        self.values.as_picture = None;
+        lowered
+    }
+
+    /// Operators that many policies have.
+    fn usual(&mut self, node: &TypedNode) -> Lowered<()> {
+        let op = &node.op;
         if let Some(einsum) = op.downcast_ref::<EinSum>() {
             return self.product(node, einsum);
         }
