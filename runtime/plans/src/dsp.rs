@@ -1,5 +1,7 @@
 //! Plans of int8 weights: as processors with the DSP extension read them, and of policies with how they act.
 
+use std::collections::BTreeSet;
+
 use sortie_core::internal::ops::{Int8Layer, LAYOUT_INT8_DSP, OpRef};
 use sortie_core::plan::{AlignedBytes, Plan, Profile};
 
@@ -25,7 +27,9 @@ pub fn for_dsp(plan: &[u8]) -> Result<AlignedBytes, CompileError> {
     header.layout = LAYOUT_INT8_DSP;
     let weights = copy.as_mut_slice().get_mut(header.weights_offset as usize..);
     let (words, _) = weights.unwrap_or_default().as_chunks_mut::<4>();
-    for (start, len) in loaded.program().ops().flat_map(matrices) {
+    // Operators may share a matrix.
+    let matrices: BTreeSet<(u32, usize)> = loaded.program().ops().flat_map(matrices).collect();
+    for (start, len) in matrices {
         for word in words.iter_mut().skip(start as usize).take(len) {
             word.swap(1, 2);
         }
@@ -40,6 +44,7 @@ fn matrices(op: OpRef<'_>) -> Vec<(u32, usize)> {
     match op {
         OpRef::Int8EmbedEntities(op) => vec![of_layer(&op.layer)],
         OpRef::Int8Dense(op) => vec![of_layer(&op.layer)],
+        OpRef::Int8ConvolvePatches(op) => vec![(op.weights, op.weights_len() as usize)],
         OpRef::Int8AttendOwn(op) => vec![
             of_layer(&op.query),
             (op.keys, op.keys_len()),

@@ -200,6 +200,23 @@ fn detail(op: OpRef<'_>) -> String {
             let relu = relu(op.relu);
             format!("{picture} by {rows} x {columns} -> [{outputs}, {height}, {width}]{relu}")
         }
+        OpRef::ConvolvePatches(op) => {
+            let ([height, width], inputs) = (op.patches.count, op.patches.inputs());
+            let relu = relu(op.relu);
+            format!("{height} x {width} patches of {inputs} -> [{}]{relu}", op.outputs)
+        }
+        OpRef::Int8ConvolvePatches(op) => {
+            let ([height, width], inputs) = (op.patches.count, op.patches.inputs());
+            let relu = relu(op.relu);
+            format!("{height} x {width} patches of {inputs} -> [{}]{relu}", op.outputs)
+        }
+        OpRef::FoldPatches(op) => {
+            let ([height, width], [rows, columns]) = (op.patches.count, op.patches.runs);
+            let (channels, fold, relu) = (op.patches.run, op.fold, relu(op.relu));
+            format!(
+                "{fold:?}, {height} x {width} patches of {rows} x {columns} x [{channels}]{relu}"
+            )
+        }
         OpRef::MaskedArgmax(op) => format!("[{}] -> action", op.from.len),
         OpRef::MaskedSample(op) => format!("[{}] -> drawn action", op.from.len),
         _ => String::new(),

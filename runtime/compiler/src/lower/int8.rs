@@ -172,6 +172,30 @@ impl Int8Weights {
         (start, self.add_floats(&all_steps))
     }
 
+    /// Adds a layer on patches that are made of runs of so many numbers: weights, steps and bias.
+    pub(crate) fn add_patches(&mut self, layer: &Rounded, run: usize) -> [u32; 3] {
+        let Rounded { inputs, outputs, integers, steps, bias } = layer;
+        let start = self.align();
+        for first in (0..*outputs).step_by(STRIP) {
+            for pair in (0..*inputs)
+                .step_by(run)
+                .flat_map(|start| (0..run).step_by(2).map(move |at| [start, at]))
+            {
+                let [start, at] = pair;
+                for output in first..first + STRIP {
+                    let both = [at, at + 1].map(|at| {
+                        match integers.get((start + at) * outputs + output) {
+                            Some(integer) if at < run && output < *outputs => *integer as u8,
+                            _ => 0,
+                        }
+                    });
+                    self.bytes.extend(both);
+                }
+            }
+        }
+        [start, self.add_floats(steps), self.add_floats(bias)]
+    }
+
     fn add_rows(&mut self, matrix: &Rounded, order: Order) {
         let pairs = matrix.inputs.div_ceil(2).next_multiple_of(PAIRS);
         let strips = matrix.outputs.div_ceil(STRIP);

@@ -7,13 +7,18 @@
 //! rows of integers ([`IntegerRows`]).
 
 mod attention;
+pub(super) mod patches;
 mod portable;
 mod sparse;
 #[cfg(test)]
 mod tests;
 
 pub use attention::{IntegerRows, mixing_max, narrow, row_max};
+pub use patches::Int8PatchLayer;
+pub(super) use patches::{IntegerTiles, add_runs};
 pub use sparse::{Marked, SparseVector, Strips, sparse_product};
+
+use super::patches::Runs;
 
 /// Columns of weights that are worked on together.
 pub const STRIP: usize = 16;
@@ -143,6 +148,9 @@ pub trait Int8Kernels: Copy {
     /// A matrix times a vector of which much is zero ([`sparse_product`]).
     fn int8_sparse_product(self, matrix: &Matrix<'_>, vector: SparseVector<'_>) -> Option<()>;
 
+    /// A layer on the patches of a picture of integers, each of which counts `step`.
+    fn int8_convolve(self, layer: &Int8PatchLayer<'_>, integers: &[i16], step: f32, to: &mut [f32]);
+
     /// Dot products of one vector with rows, each as the number that it counts: `step` times the row's.
     fn int8_dots(self, vector: &[i16], step: f32, rows: IntegerRows<'_>, products: &mut [f32]);
 
@@ -169,6 +177,14 @@ pub trait Lanes: Copy {
         self,
         rows: &[[Row; PAIRS]],
         inputs: [&[Inputs]; COUNT],
+    ) -> [[i32; STRIP]; COUNT];
+
+    /// The sums of a strip for several patches, whose numbers are multiplied as pairs.
+    fn add_runs<const COUNT: usize>(
+        self,
+        rows: &[Row],
+        runs: Runs<'_, i16>,
+        at: [usize; COUNT],
     ) -> [[i32; STRIP]; COUNT];
 
     /// The sums of two strips for one vector.

@@ -7,9 +7,11 @@ mod avx2;
 mod avx512;
 
 use super::int8::{
-    Count, Inputs, Int8Kernels, IntegerRows, Lanes, Marked, Matrix, PAIRS, Reach, Row, STRIP,
-    Scale, SparseVector, Strips, Vector, narrow, products, quantise, sparse_product,
+    Count, Inputs, Int8Kernels, Int8PatchLayer, IntegerRows, IntegerTiles, Lanes, Marked, Matrix,
+    PAIRS, Reach, Row, STRIP, Scale, SparseVector, Strips, Vector, narrow, products, quantise,
+    sparse_product,
 };
+use super::patches::{self, Runs};
 use super::x86::{Avx2, Avx512};
 
 /// The bits of a number without its sign.
@@ -46,6 +48,16 @@ impl<A> Lanes for Avx2<A> {
         } else {
             unsafe { avx2::add_strip::<COUNT, 1>(rows, inputs) }
         }
+    }
+
+    #[inline(always)]
+    fn add_runs<const COUNT: usize>(
+        self,
+        rows: &[Row],
+        runs: Runs<'_, i16>,
+        at: [usize; COUNT],
+    ) -> [[i32; STRIP]; COUNT] {
+        unsafe { avx2::add_runs(rows, runs, at) }
     }
 
     #[inline(always)]
@@ -92,6 +104,16 @@ impl<A> Lanes for Avx512<A> {
     }
 
     #[inline(always)]
+    fn add_runs<const COUNT: usize>(
+        self,
+        rows: &[Row],
+        runs: Runs<'_, i16>,
+        at: [usize; COUNT],
+    ) -> [[i32; STRIP]; COUNT] {
+        unsafe { avx512::add_runs(rows, runs, at) }
+    }
+
+    #[inline(always)]
     fn add_two_strips(self, rows: [&[[Row; PAIRS]]; 2], inputs: &[Inputs]) -> [[i32; STRIP]; 2] {
         unsafe { avx512::add_two_strips(rows, inputs) }
     }
@@ -133,6 +155,17 @@ macro_rules! build {
             }
 
             #[inline]
+            fn int8_convolve(
+                self,
+                layer: &Int8PatchLayer<'_>,
+                integers: &[i16],
+                step: f32,
+                to: &mut [f32],
+            ) {
+                unsafe { $module::convolve(self, layer, (integers, step), to) }
+            }
+
+            #[inline]
             fn int8_dots(
                 self,
                 vector: &[i16],
@@ -165,6 +198,19 @@ macro_rules! build {
                 integers: &mut [i16],
             ) -> Option<Scale> {
                 super::quantise(kernels, values, reach, integers)
+            }
+
+            #[target_feature(enable = $features)]
+            pub(super) fn convolve<A>(
+                kernels: $name<A>,
+                layer: &Int8PatchLayer<'_>,
+                integers: (&[i16], f32),
+                to: &mut [f32],
+            ) {
+                const MANY: usize = $instructions::PATCHES;
+                let tiles = IntegerTiles::of(kernels, layer, integers);
+                let sizes = (layer.patches, layer.outputs);
+                patches::convolve::<MANY, { MANY / 2 }>(&tiles, sizes, to);
             }
 
             #[target_feature(enable = $features)]

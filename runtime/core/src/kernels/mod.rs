@@ -15,6 +15,7 @@ pub mod int8;
 #[cfg(all(feature = "std", target_arch = "x86_64"))]
 mod int8_x86;
 pub mod mark;
+pub mod patches;
 pub(crate) mod pause;
 pub mod product;
 pub mod rows;
@@ -39,6 +40,7 @@ use small::Small as OfTarget;
 use arithmetic::Arithmetic;
 use int8::Int8Kernels;
 use mark::Marks;
+use patches::{AddRuns, FloatTiles, Fold, PatchLayer, Runs};
 use product::{Around, Sparse};
 use rows::Rows;
 use several::{AddRows, PART, Pair, Strip};
@@ -85,6 +87,12 @@ pub trait Kernels: Copy + Int8Kernels {
 
     /// Matrix times several vectors of which much is zero ([`several::sparse_products`]).
     fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
+
+    /// A layer on the patches of a picture ([`patches::convolve`]).
+    fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]);
+
+    /// One number of every channel of patches ([`patches::fold`]); a run is a number for every channel.
+    fn fold(self, layer: &PatchLayer<'_>, by: Fold, from: &[f32], to: &mut [f32]);
 
     /// Dot products of one vector with rows ([`dot::dots`]).
     fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]);
@@ -157,6 +165,15 @@ impl<A: Arithmetic> Kernels for Portable<A> {
         several::sparse_products::<A>(weights, pairs, around, 0);
     }
 
+    fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]) {
+        let tiles = FloatTiles::<A, Self>::of(self, layer, from);
+        patches::convolve::<4, 1>(&tiles, (layer.patches, layer.outputs), to);
+    }
+
+    fn fold(self, layer: &PatchLayer<'_>, by: Fold, from: &[f32], to: &mut [f32]) {
+        patches::fold::<A>(layer, by, from, to);
+    }
+
     fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
         dot::dots(vector, rows, products, dot::four_dots::<A>);
     }
@@ -186,5 +203,18 @@ impl<P> AddRows for Portable<P> {
         inputs: [&[f32]; COUNT],
     ) -> [[[f32; PART]; PARTS]; COUNT] {
         several::add_rows::<A, PARTS, COUNT>(strip, start, inputs)
+    }
+}
+
+impl<P> AddRuns for Portable<P> {
+    #[inline(always)]
+    fn add_runs<A: Arithmetic, const COUNT: usize>(
+        self,
+        tile: &[[f32; PART]],
+        runs: Runs<'_, f32>,
+        at: [usize; COUNT],
+        start: [f32; PART],
+    ) -> [[f32; PART]; COUNT] {
+        patches::add_runs::<A, COUNT>(tile, runs, at, start)
     }
 }

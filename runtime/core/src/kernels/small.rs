@@ -18,6 +18,7 @@ use super::Kernels;
 use super::arithmetic::Arithmetic;
 use super::dot::{LANES, join};
 use super::mark::{MARKED, Marks};
+use super::patches::{self, AddRuns, FloatTiles, Fold, PatchLayer, Runs};
 use super::product::{Around, Sparse, add_row, finished, tile_width};
 use super::rows::Rows;
 use super::several::Pair;
@@ -96,6 +97,17 @@ impl<A: Arithmetic, const SKIPS: bool> Kernels for Small<A, SKIPS> {
     }
 
     #[inline(never)]
+    fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]) {
+        let tiles = FloatTiles::<A, Self>::of(self, layer, from);
+        patches::convolve::<1, 1>(&tiles, (layer.patches, layer.outputs), to);
+    }
+
+    #[inline(never)]
+    fn fold(self, layer: &PatchLayer<'_>, by: Fold, from: &[f32], to: &mut [f32]) {
+        patches::fold::<A>(layer, by, from, to);
+    }
+
+    #[inline(never)]
     fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
         for (slot, product) in rows.slots.iter().zip(products) {
             *product = dot::<A, SKIPS>(vector, rows.row(*slot));
@@ -113,6 +125,19 @@ impl<A: Arithmetic, const SKIPS: bool> Kernels for Small<A, SKIPS> {
         for (part, sums) in sums.as_chunks_mut().0.iter_mut().enumerate() {
             *sums = mixed::<A, SKIPS, MIXED>(weights, rows, part * MIXED);
         }
+    }
+}
+
+impl<P, const SKIPS: bool> AddRuns for Small<P, SKIPS> {
+    #[inline(always)]
+    fn add_runs<A: Arithmetic, const COUNT: usize>(
+        self,
+        tile: &[[f32; PART]],
+        runs: Runs<'_, f32>,
+        at: [usize; COUNT],
+        start: [f32; PART],
+    ) -> [[f32; PART]; COUNT] {
+        patches::add_runs::<A, COUNT>(tile, runs, at, start)
     }
 }
 

@@ -4,6 +4,7 @@
 //! intrinsics, in [`wide`], [`wider`] and [`heads`].
 
 mod heads;
+mod runs;
 mod sparse;
 mod wide;
 mod wider;
@@ -13,6 +14,7 @@ use core::marker::PhantomData;
 use super::arithmetic::Arithmetic;
 use super::dot;
 use super::mark::Marks;
+use super::patches::{self, AddRuns, FloatTiles, Fold, PatchLayer, Runs};
 use super::product::{self, Around, Sparse};
 use super::rows::Rows;
 use super::several::{self, AddRows, PART, Pair, Strip};
@@ -152,6 +154,16 @@ macro_rules! build {
             }
 
             #[inline]
+            fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]) {
+                unsafe { $module::convolve::<A>(self, layer, from, to) }
+            }
+
+            #[inline]
+            fn fold(self, layer: &PatchLayer<'_>, by: Fold, from: &[f32], to: &mut [f32]) {
+                unsafe { $module::fold::<A>(layer, by, from, to) }
+            }
+
+            #[inline]
             fn dots(self, vector: &[f32], rows: Rows<'_>, products: &mut [f32]) {
                 unsafe { $module::dots::<A>(vector, rows, products) }
             }
@@ -194,6 +206,21 @@ macro_rules! build {
                 inputs: [&[f32]; COUNT],
             ) -> [[[f32; PART]; PARTS]; COUNT] {
                 unsafe { $vectors::add_rows::<A, PARTS, COUNT>(strip, start, inputs) }
+            }
+        }
+
+        // SAFETY: as above.
+        #[allow(unsafe_code, clippy::undocumented_unsafe_blocks)]
+        impl<P> AddRuns for $name<P> {
+            #[inline(always)]
+            fn add_runs<A: Arithmetic, const COUNT: usize>(
+                self,
+                tile: &[[f32; PART]],
+                runs: Runs<'_, f32>,
+                at: [usize; COUNT],
+                start: [f32; PART],
+            ) -> [[f32; PART]; COUNT] {
+                unsafe { $vectors::add_runs::<A, COUNT>(tile, runs, at, start) }
             }
         }
 
@@ -242,6 +269,29 @@ macro_rules! build {
                 around: Around<'_>,
             ) {
                 $vectors::sparse_products::<A>(weights, pairs, around);
+            }
+
+            #[target_feature(enable = $features)]
+            pub(super) fn convolve<A: Arithmetic>(
+                kernels: $name<A>,
+                layer: &PatchLayer<'_>,
+                from: &[f32],
+                to: &mut [f32],
+            ) {
+                const MANY: usize = $vectors::PATCHES;
+                let tiles = FloatTiles::<A, $name<A>>::of(kernels, layer, from);
+                let sizes = (layer.patches, layer.outputs);
+                patches::convolve::<MANY, { MANY / 2 }>(&tiles, sizes, to);
+            }
+
+            #[target_feature(enable = $features)]
+            pub(super) fn fold<A: Arithmetic>(
+                layer: &PatchLayer<'_>,
+                by: Fold,
+                from: &[f32],
+                to: &mut [f32],
+            ) {
+                patches::fold::<A>(layer, by, from, to);
             }
 
             #[target_feature(enable = $features)]

@@ -16,6 +16,7 @@ mod int8_attend_own;
 mod int8_dense;
 mod int8_embed_entities;
 mod int8_layer;
+mod int8_patches;
 mod int8_rows;
 mod mean_rows;
 mod operator;
@@ -40,6 +41,7 @@ pub use int8_attend_own::Int8AttendOwn;
 pub use int8_dense::Int8Dense;
 pub use int8_embed_entities::Int8EmbedEntities;
 pub use int8_layer::{Int8Layer, quantised_floats};
+pub use int8_patches::{Int8ConvolvePatches, quantised_picture};
 pub use mean_rows::{MeanRows, Members};
 pub use output::{Output, OutputRows};
 pub use place::Place;
@@ -50,14 +52,16 @@ pub use proposals::{
 };
 pub use set::{AllOperators, FeedForward, Int8FeedForward, Policies};
 pub use steps::{
-    Arrange, Choice, Combination, Combine, Constant, Convolve, DenseRows, Function, GruCell, Input,
-    LookUp, LstmCell, Map, Meaning, Multiply, Normalise, Reduce, Reduction, Select, Softmax, State,
+    Arrange, Choice, Combination, Combine, Constant, Convolve, ConvolvePatches, DenseRows,
+    FoldPatches, Function, GruCell, Input, LookUp, LstmCell, Map, Meaning, Multiply, Normalise,
+    Reduce, Reduction, Select, Softmax, State,
 };
 pub use table::{Op, OpKind, OpRef, OperatorSet};
 pub(crate) use table::{has, has_all};
 
 use crate::entity_mask::EntityMask;
 use crate::kernels::mark::{MARKED, Marks};
+pub use crate::kernels::patches::{Fold, Patches};
 use crate::kernels::product::{Around, padded};
 use crate::policy::DecideError;
 

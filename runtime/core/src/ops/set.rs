@@ -60,6 +60,9 @@ impl OperatorSet for Policies {
         OpKind::Convolve,
         OpKind::DenseRows,
         OpKind::LookUp,
+        OpKind::ConvolvePatches,
+        OpKind::FoldPatches,
+        OpKind::Int8ConvolvePatches,
     ];
 }
 

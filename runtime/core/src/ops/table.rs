@@ -5,10 +5,11 @@ use zerocopy::{IntoBytes, TryFromBytes};
 use super::operator::Operator;
 use super::team::Team;
 use super::{
-    Arrange, AttendAll, AttendOwn, Combine, Constant, Convolve, Dense, DenseRows, EmbedEntities,
-    EmbedTasks, GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities, LookUp,
-    LstmCell, Map, MaskedArgmax, MaskedSample, MeanRows, Multiply, Normalise, Output, Places,
-    PointerLogits, Reduce, ScoreAllocations, Scratch, Select, Sizes, Softmax, State,
+    Arrange, AttendAll, AttendOwn, Combine, Constant, Convolve, ConvolvePatches, Dense, DenseRows,
+    EmbedEntities, EmbedTasks, FoldPatches, GroupSum, Gru, GruCell, Input, Int8AttendOwn,
+    Int8ConvolvePatches, Int8Dense, Int8EmbedEntities, LookUp, LstmCell, Map, MaskedArgmax,
+    MaskedSample, MeanRows, Multiply, Normalise, Output, Places, PointerLogits, Reduce,
+    ScoreAllocations, Scratch, Select, Sizes, Softmax, State,
 };
 use crate::kernels::Kernels;
 use crate::limits;
@@ -271,6 +272,12 @@ operators! {
     DenseRows,
     /// Rows of tables.
     LookUp,
+    /// A layer on every patch of a picture, its sums in registers.
+    ConvolvePatches,
+    /// One number of every channel of every patch.
+    FoldPatches,
+    /// A layer on every patch of a picture, of int8 weights.
+    Int8ConvolvePatches,
 }
 
 impl OpKind {

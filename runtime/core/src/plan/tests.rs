@@ -6,6 +6,7 @@ mod drafts;
 mod in_team;
 mod int8;
 mod look_up;
+mod pictures;
 mod policy;
 mod refusals;
 mod steps;

@@ -2,10 +2,11 @@
 
 use sortie_core::include_plan;
 use sortie_core::internal::ops::{
-    Arrange, AttendAll, Choice, Combination, Combine, Constant, Convolve, DenseRows, Flag,
-    Function, GroupSum, Gru, GruCell, Input, Int8AttendOwn, Int8Dense, Int8EmbedEntities,
-    Int8Layer, Linear, LookUp, LstmCell, Map, MaskedSample, MeanRows, Meaning, Members, Multiply,
-    Normalise, Op, OpRef, Output, OutputRows, Place, Reduce, Reduction, Select, Softmax, State,
+    Arrange, AttendAll, Choice, Combination, Combine, Constant, Convolve, ConvolvePatches,
+    DenseRows, Flag, Fold, FoldPatches, Function, GroupSum, Gru, GruCell, Input, Int8AttendOwn,
+    Int8ConvolvePatches, Int8Dense, Int8EmbedEntities, Int8Layer, Linear, LookUp, LstmCell, Map,
+    MaskedSample, MeanRows, Meaning, Members, Multiply, Normalise, Op, OpRef, Output, OutputRows,
+    Patches, Place, Reduce, Reduction, Select, Softmax, State,
 };
 use sortie_core::operators::OpKind;
 use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
@@ -198,11 +199,13 @@ fn other_operators() -> [Op; 9] {
 }
 
 /// One of every step of a policy.
-fn steps() -> [Op; 16] {
+fn steps() -> [Op; 19] {
     let place = Place { offset: 0, len: 4 };
     let (from, to, left, right) = (place, place, place, place);
     let (columns, a, b) = (4, 0, 0);
     let [sizes, from_strides, to_strides] = [[1; 4]; 3];
+    let [count, steps, runs, run_steps, to_steps] = [[1; 2]; 5];
+    let patches = Patches { count, steps, runs, run_steps, run: 1, to_steps };
     [
         Op::Input(Input { index: 0, meaning: Meaning::None, to }),
         Op::State(State { from, to }),
@@ -254,6 +257,35 @@ fn steps() -> [Op; 16] {
             from,
             to,
         }),
+        Op::ConvolvePatches(ConvolvePatches {
+            weights: 0,
+            bias: 0,
+            outputs: 1,
+            relu: Flag::No,
+            patches,
+            from,
+            to,
+        }),
+        Op::Int8ConvolvePatches(Int8ConvolvePatches {
+            weights: 0,
+            steps: 0,
+            bias: 0,
+            outputs: 1,
+            relu: Flag::No,
+            patches,
+            from,
+            to,
+            quantised: to,
+        }),
+        Op::FoldPatches(FoldPatches {
+            fold: Fold::Maximum,
+            weights: 0,
+            bias: 0,
+            relu: Flag::No,
+            patches,
+            from,
+            to,
+        }),
         Op::LookUp(LookUp {
             choice: Choice::FirstOrLast,
             constant: Flag::No,
@@ -301,6 +333,7 @@ fn bytes_of_fields(fields: &str) -> usize {
             "place" | "vector" => 8,
             "linear" => 12,
             "int8 layer" => 16,
+            "grid" => 4 * 11,
             "row attention" => 4 + 4 * 12,
             _ => panic!("an unknown kind of field: {field}"),
         };

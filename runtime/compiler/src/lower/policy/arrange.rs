@@ -82,16 +82,26 @@ impl Lowering<'_> {
     ) -> Lowered<Place> {
         let steps = strides(&value.shape);
         let sizes: Vec<usize> = order.iter().map(|axis| value.shape[*axis]).collect();
-        let own = strides(&sizes);
-        let dimensions: Vec<Dimension> = (order.iter().zip(&sizes).zip(&own))
-            .map(|((axis, size), to)| Dimension { size: *size, from: steps[*axis], to: *to })
+        self.copied(node, value.place, &sizes, order.iter().map(|axis| steps[*axis]))
+    }
+
+    /// Numbers whose sizes and steps along every axis are given, behind each other.
+    pub(super) fn copied(
+        &mut self,
+        node: &TypedNode,
+        from: Place,
+        sizes: &[usize],
+        steps: impl Iterator<Item = usize>,
+    ) -> Lowered<Place> {
+        let dimensions: Vec<Dimension> = (sizes.iter().zip(steps).zip(strides(sizes)))
+            .map(|((size, from), to)| Dimension { size: *size, from, to })
             .collect();
         let is_moved = merged(&dimensions).iter().any(|d| d.from != d.to);
         if !is_moved {
-            return Ok(value.place);
+            return Ok(from);
         }
-        let to = self.arena.place(value.place.len as usize);
-        self.arrange(node, value.place, to, &dimensions)?;
+        let to = self.arena.place(from.len as usize);
+        self.arrange(node, from, to, &dimensions)?;
         Ok(to)
     }
 
@@ -124,12 +134,31 @@ impl Lowering<'_> {
     }
 
     pub(super) fn axes(&mut self, node: &TypedNode, op: &AxisOp) -> Lowered<()> {
-        let value = self.operand(node, 0)?;
-        let AxisOp::Move(from, to) = *op else { return self.give(node, 0, value.place) };
-        let mut order: Vec<usize> = (0..value.shape.len()).collect();
+        let outlet = self.outlet(node, 0)?;
+        let picture = self.values.picture(outlet);
+        let AxisOp::Move(from, to) = *op else {
+            if let Some(picture) = picture {
+                self.values.insert_picture((node.id, 0).into(), picture);
+                return Ok(());
+            }
+            let place = self.operand(node, 0)?.place;
+            return self.give(node, 0, place);
+        };
+        let shape = self.shape(self.model.node(outlet.node), outlet.slot)?;
+        let mut order: Vec<usize> = (0..shape.len()).collect();
         let axis = order.remove(from);
         order.insert(to, axis);
-        let place = self.permuted(node, &value, &order)?;
+        let steps = picture.and_then(|picture| Some((picture.place, picture.strides(&shape)?)));
+        let place = match steps {
+            Some((place, steps)) => {
+                let sizes: Vec<usize> = order.iter().map(|axis| shape[*axis]).collect();
+                self.copied(node, place, &sizes, order.iter().map(|axis| steps[*axis]))?
+            }
+            None => {
+                let value = self.operand(node, 0)?;
+                self.permuted(node, &value, &order)?
+            }
+        };
         self.give(node, 0, place)
     }
 

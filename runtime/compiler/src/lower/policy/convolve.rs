@@ -1,146 +1,234 @@
-//! Convolutions: a layer on every patch of a picture.
+//! Convolutions: layers on every patch of a picture.
 
-use sortie_core::internal::kernels::product::padded;
+use sortie_core::internal::kernels::several::PART;
 use sortie_core::internal::ops::{
-    Combination, Convolve, Flag, Function, Linear, Op, Place, Reduction,
+    ConvolvePatches, Flag, Int8ConvolvePatches, Op, Patches, Place, quantised_picture,
 };
-use sortie_plans::CompileError;
 use tract_onnx::prelude::*;
-use tract_onnx::tract_core::ops::cnn::{Conv, KernelFormat, MaxPool, PoolSpec, SumPool};
-use tract_onnx::tract_core::ops::nn::DataFormat;
+use tract_onnx::tract_core::ops::cnn::{Conv, KernelFormat, PoolSpec};
 
-use super::arrange::Dimension;
-use super::values::{PolicyWeights, Value, numbers};
+use super::products::key;
+use super::values::{PolicyWeights, numbers};
+use super::windows::{Source, Target, Windows, area, part};
 use super::{Lowered, Lowering, WIDEST};
 use crate::lower::agent::at_most;
+use crate::lower::rounding::Rounded;
 use crate::matching::{Layer, Matrix};
 
-/// The patches of a picture, along both of its directions.
-struct Patches {
-    pictures: usize,
-    channels: usize,
-    size: [usize; 2],
-    kernel: [usize; 2],
-    stride: [usize; 2],
-    dilation: [usize; 2],
-    /// Points outside of the picture, above it and on its left.
-    before: [usize; 2],
-    result: [usize; 2],
+/// The layers of a convolution.
+struct Layers<'a> {
+    /// The layer of every group of channels.
+    groups: &'a [Layer],
+    relu: Flag,
+}
+
+/// A layer on patches among the weights.
+#[derive(Clone, Copy)]
+pub(super) enum StoredTiles {
+    Floats {
+        weights: u32,
+        bias: u32,
+    },
+    /// Weights, steps and bias.
+    Integers([u32; 3]),
 }
 
 impl Lowering<'_> {
     pub(super) fn convolve(&mut self, node: &TypedNode, conv: &Conv) -> Lowered<()> {
-        let value = self.operand(node, 0)?;
-        let value = self.channels_first(node, &conv.pool_spec, value)?;
-        let unsupported = |hint| self.unsupported(node, hint);
         if conv.q_params.is_some() {
-            return Err(unsupported("plans convolve in f32"));
+            return Err(self.unsupported(node, "plans convolve numbers that are not scaled"));
         }
-        let PolicyWeights::Tiles(_) = &self.weights else {
-            return Err(CompileError::NoInt8 { what: "a convolution".into() });
-        };
-        let patches = self.patches(node, &conv.pool_spec, &value)?;
+        let spec = &conv.pool_spec;
+        let windows = self.windows(node, spec)?;
+        let mut source = self.source(node, spec, &windows)?;
         let groups = self.kernels(node, conv)?;
-        let groups = groups.ok_or_else(|| unsupported("its kernel is no constant"))?;
+        let groups = groups.ok_or_else(|| self.unsupported(node, "its kernel is no constant"))?;
+        let outputs = spec.output_channels;
+        let inputs = windows.channels / groups.len() * area(windows.kernel);
+        at_most("the width of a layer", inputs.max(outputs), WIDEST)?;
+        let is_depthwise = groups.len() > 1 && [windows.channels, outputs] == [groups.len(); 2];
+        // Of channels behind each other runs are read along rows.
+        let is_dilated = windows.kernel[1] > 1 && windows.dilation[1] > 1;
+        if is_depthwise || is_dilated {
+            source = self.as_points(node, &windows, source)?;
+        }
+        let source = self.framed(node, &windows, source, 0.0)?;
         let relu = self.relu_after(node);
-        let channels = patches.channels / groups.len();
-        let (outputs, inputs) = (conv.pool_spec.output_channels, channels * area(patches.kernel));
-        at_most("the width of a layer", inputs, WIDEST)?;
-        let to = self.arena.place(patches.pictures * outputs * area(patches.result));
-        let patch = self.arena.place(inputs);
-        let point = self.arena.place(padded(outputs / groups.len()));
-        let PolicyWeights::Tiles(weights) = &mut self.weights else { return Ok(()) };
-        let layers: Vec<Linear> = groups.iter().map(|layer| weights.add_layer(layer)).collect();
-        // Pictures, and groups of their channels, stand behind each other and know nothing of each other.
-        let count = patches.pictures * layers.len();
-        let parts = [value.place, to].map(|place| place.len / count.max(1) as u32);
-        for (index, layer) in (0..count as u32).zip(layers.iter().cycle()) {
-            let part = |place: Place, len: u32| Place { offset: place.offset + index * len, len };
-            let whole = |sizes: [usize; 2]| sizes.map(|size| size as u32);
-            self.ops.push(Op::Convolve(Convolve {
-                layer: *layer,
-                relu: Flag::from(relu.is_some()),
-                channels: channels as u32,
-                size: whole(patches.size),
-                kernel: whole(patches.kernel),
-                stride: whole(patches.stride),
-                dilation: whole(patches.dilation),
-                padding: whole(patches.before),
-                result: whole(patches.result),
-                from: part(value.place, parts[0]),
-                patch,
-                point,
-                to: part(to, parts[1]),
-            }));
+        let last = relu.unwrap_or(node);
+        let layers = Layers { groups: &groups, relu: Flag::from(relu.is_some()) };
+        let target = self.target(last, &windows, spec, outputs)?;
+        if is_depthwise {
+            self.layer_on_channels(&windows, source, &layers, target);
+        } else {
+            self.layers_on_patches(&windows, source, &layers, target);
         }
-        let to = self.as_picture(node, &conv.pool_spec, &patches, outputs, to)?;
-        self.give(node, 0, to)?;
-        relu.map_or(Ok(()), |relu| self.give(relu, 0, to))
+        if self.values.framed((last.id, 0).into()).is_some() {
+            return Ok(());
+        }
+        let picture = windows.picture(target.place, outputs);
+        self.give_picture(node, spec, picture)?;
+        relu.map_or(Ok(()), |relu| self.give_picture(relu, spec, picture))
     }
 
-    /// A picture with its channels before its points, as steps take it.
-    fn channels_first(
+    /// Room for a result; with a border of zeros, if nothing reads it but a convolution that wants one.
+    fn target(
         &mut self,
         node: &TypedNode,
+        windows: &Windows,
         spec: &PoolSpec,
-        value: Value,
-    ) -> Lowered<Value> {
-        let axes = value.shape.len();
-        let first = usize::from(spec.data_format.has_n());
-        if !spec.data_format.c_is_last() || axes <= first {
-            return Ok(value);
+        outputs: usize,
+    ) -> Lowered<Target> {
+        let readers = &node.outputs[0].successors;
+        let reader = match readers.as_slice() {
+            [reader] if !self.model.outputs.contains(&(node.id, 0).into()) => {
+                Some(self.model.node(reader.node))
+            }
+            _ => None,
+        };
+        let next = reader.and_then(|reader| Some((reader, reader.op_as::<Conv>()?)));
+        let next = next.filter(|(_, next)| next.pool_spec.data_format == spec.data_format);
+        let next = next.map(|(reader, next)| self.windows(reader, &next.pool_spec)).transpose()?;
+        if let Some(next) = next.filter(|next| next.framed() != next.size) {
+            let whole = Windows { size: next.framed(), ..next };
+            let source = whole.points(self.arena.place(next.pictures * outputs * area(whole.size)));
+            self.filled(node, source.place, 0.0)?;
+            self.values.insert_framed((node.id, 0).into(), source.place);
+            let first = next.before[0] * source.steps[1] + next.before[1] * outputs;
+            return Ok(Target {
+                place: source.place,
+                first,
+                row: source.steps[1],
+                each: source.each,
+            });
         }
-        let order: Vec<usize> = (0..first).chain([axes - 1]).chain(first..axes - 1).collect();
-        let place = self.permuted(node, &value, &order)?;
-        Ok(Value { place, shape: order.into_iter().map(|axis| value.shape[axis]).collect() })
+        let place = self.arena.place(windows.pictures * outputs * area(windows.result));
+        Ok(windows.target(place, outputs))
     }
 
-    /// A result with its channels where the graph has them.
-    fn as_picture(
+    /// A layer on the patches of every picture and group of channels.
+    fn layers_on_patches(
         &mut self,
-        node: &TypedNode,
-        spec: &PoolSpec,
-        patches: &Patches,
-        channels: usize,
-        place: Place,
-    ) -> Lowered<Place> {
-        if !spec.data_format.c_is_last() {
-            return Ok(place);
+        windows: &Windows,
+        source: Source,
+        layers: &Layers<'_>,
+        target: Target,
+    ) {
+        let channels = windows.channels / layers.groups.len();
+        let mut patches = windows.patches(source, channels);
+        let mut first_output = 0;
+        let all: usize = layers.groups.iter().map(|layer| layer.matrix.outputs).sum();
+        patches.to_steps = [target.row as u32, all as u32];
+        // Runs without gaps between them are one.
+        let [outer, inner] = patches.runs;
+        if inner > 1 && patches.run_steps[1] == patches.run {
+            patches = Patches { runs: [outer, 1], run: inner * patches.run, ..patches };
         }
-        let [height, width] = patches.result;
-        let value = Value { place, shape: vec![patches.pictures, channels, height, width] };
-        self.permuted(node, &value, &[0, 2, 3, 1])
+        for (group, layer) in layers.groups.iter().enumerate() {
+            let layer = windows.ordered(layer, source.has_points());
+            let outputs = layer.matrix.outputs as u32;
+            let stored = self.stored_tiles(&layer, patches.run);
+            for picture in 0..windows.pictures {
+                let from = source.each * picture + source.steps[0] * channels * group;
+                let from = part(source.place, from, patches.reach());
+                let first = target.first + target.each * picture + first_output;
+                let to = part(target.place, first, patches.result_reach(outputs));
+                let relu = layers.relu;
+                let (weights, bias) = (0, 0);
+                let step = ConvolvePatches { weights, bias, outputs, relu, patches, from, to };
+                self.push_patches(stored, step);
+            }
+            first_output += layer.matrix.outputs;
+        }
     }
 
-    /// The patches that a convolution or a pool works on; the picture has its channels first.
-    fn patches(&self, node: &TypedNode, spec: &PoolSpec, value: &Value) -> Lowered<Patches> {
-        let format = match spec.data_format {
-            DataFormat::NHWC => DataFormat::NCHW,
-            DataFormat::HWC => DataFormat::CHW,
-            first => first,
+    /// A layer on rows that stand behind each other: each is a patch of one run.
+    pub(super) fn layer_on_rows(&mut self, layer: &Layer, rows: usize, from: Place) -> Place {
+        let (inputs, outputs) = (layer.matrix.inputs, layer.matrix.outputs);
+        let to = self.arena.place(rows * outputs);
+        let stored = self.stored_tiles(layer, inputs as u32);
+        let patches = Patches {
+            count: [rows as u32, 1],
+            steps: [inputs as u32, 0],
+            runs: [1, 1],
+            run_steps: [0; 2],
+            run: inputs as u32,
+            to_steps: [outputs as u32, 0],
         };
-        let shape = format.shape(value.shape.clone());
-        let shape = shape.map_err(|_| self.unsupported(node, "its picture has other sizes"))?;
-        if !(1..=2).contains(&shape.hw_rank()) {
-            let hint = "plans take pictures of one or two dimensions";
-            return Err(self.unsupported(node, hint));
+        let relu = Flag::from(layer.relu);
+        self.push_patches(
+            stored,
+            ConvolvePatches {
+                weights: 0,
+                bias: 0,
+                outputs: outputs as u32,
+                relu,
+                patches,
+                from,
+                to,
+            },
+        );
+        to
+    }
+
+    /// Adds a step whose weights are stored.
+    fn push_patches(&mut self, stored: StoredTiles, step: ConvolvePatches) {
+        let ConvolvePatches { outputs, relu, patches, from, to, .. } = step;
+        self.ops.push(match stored {
+            StoredTiles::Floats { weights, bias } => {
+                Op::ConvolvePatches(ConvolvePatches { weights, bias, ..step })
+            }
+            StoredTiles::Integers([weights, steps, bias]) => {
+                let quantised = self.arena.place(quantised_picture(from.len as usize));
+                Op::Int8ConvolvePatches(Int8ConvolvePatches {
+                    weights,
+                    steps,
+                    bias,
+                    outputs,
+                    relu,
+                    patches,
+                    from,
+                    to,
+                    quantised,
+                })
+            }
+        });
+    }
+
+    /// Adds a layer on patches of runs of so many numbers to the weights; one that stands there already stands there once.
+    fn stored_tiles(&mut self, layer: &Layer, run: u32) -> StoredTiles {
+        let key = key(layer, [run as usize, 0]);
+        if let Some(stored) = self.tiles.get(&key) {
+            return *stored;
         }
-        let padding = spec.computed_padding(shape.hw_dims());
-        // A line is a picture of one row.
-        let both = |of: &dyn Fn(usize) -> usize, line: usize| match shape.hw_rank() {
-            1 => [line, of(0)],
-            _ => [of(0), of(1)],
+        let outputs = layer.matrix.outputs;
+        let stored = match &mut self.weights {
+            PolicyWeights::Tiles(weights) => {
+                let mut add = |values: &[f32]| weights.add_numbers(&tiles(values, outputs));
+                StoredTiles::Floats { weights: add(&layer.matrix.values), bias: add(&layer.bias) }
+            }
+            PolicyWeights::Int8(weights, _) => {
+                StoredTiles::Integers(weights.add_patches(&Rounded::nearest(layer), run as usize))
+            }
         };
-        Ok(Patches {
-            pictures: shape.n().copied().unwrap_or(1),
-            channels: *shape.c(),
-            size: both(&|axis| shape.hw_dims()[axis], 1),
-            kernel: both(&|axis| spec.kernel_shape[axis], 1),
-            stride: both(&|axis| spec.stride(axis), 1),
-            dilation: both(&|axis| spec.dilation(axis), 1),
-            before: both(&|axis| padding[axis].pad_before, 0),
-            result: both(&|axis| padding[axis].convoluted, 1),
-        })
+        self.tiles.insert(key, stored);
+        stored
+    }
+
+    /// A layer on each channel by itself.
+    fn layer_on_channels(
+        &mut self,
+        windows: &Windows,
+        source: Source,
+        layers: &Layers<'_>,
+        target: Target,
+    ) {
+        let of_each = layers.groups.iter().map(|layer| layer.matrix.values.as_slice());
+        let of_each: Vec<&[f32]> = of_each.collect();
+        let points = 0..area(windows.kernel);
+        let weights: Vec<f32> =
+            points.flat_map(|point| of_each.iter().map(move |weights| weights[point])).collect();
+        let bias: Vec<f32> = layers.groups.iter().flat_map(|layer| layer.bias.clone()).collect();
+        self.fold(windows, source, (&weights, &bias), layers.relu, target);
     }
 
     /// The kernel of every group as a layer on patches, channel behind channel; none where it is no constant.
@@ -181,137 +269,30 @@ impl Lowering<'_> {
     }
 }
 
-/// The points of a grid.
-fn area([height, width]: [usize; 2]) -> usize {
-    height * width
+/// Rows of numbers in tiles of columns: the rows of one tile, then those of the next, zeros behind the last column.
+pub(super) fn tiles(values: &[f32], columns: usize) -> Vec<f32> {
+    let tile = |first: usize| {
+        let row = move |row: &[f32]| {
+            let mut own = row[first..columns.min(first + PART)].to_vec();
+            own.resize(PART, 0.0);
+            own
+        };
+        values.chunks_exact(columns).flat_map(row)
+    };
+    (0..columns).step_by(PART).flat_map(tile).collect()
 }
 
-// Pools: one number of every patch of a picture, channel by channel.
-//
-// The numbers that stand beside each other in a patch are reduced first, then those that stand above each other.
-
-impl Lowering<'_> {
-    /// The largest number of every patch.
-    pub(super) fn largest(&mut self, node: &TypedNode, pool: &MaxPool) -> Lowered<()> {
-        if pool.with_index_outputs.is_some() {
-            return Err(self.unsupported(node, "plans do not say where the largest number stands"));
-        }
-        let value = self.operand(node, 0)?;
-        let value = self.channels_first(node, &pool.pool_spec, value)?;
-        let patches = self.patches(node, &pool.pool_spec, &value)?;
-        let to = self.pooled(node, &patches, &value, Reduction::Maximum, f32::MIN)?;
-        let to = self.as_picture(node, &pool.pool_spec, &patches, patches.channels, to)?;
-        self.give(node, 0, to)
-    }
-
-    /// The sum or the mean of every patch.
-    pub(super) fn sum(&mut self, node: &TypedNode, pool: &SumPool) -> Lowered<()> {
-        let value = self.operand(node, 0)?;
-        let value = self.channels_first(node, &pool.pool_spec, value)?;
-        let patches = self.patches(node, &pool.pool_spec, &value)?;
-        let sum = self.pooled(node, &patches, &value, Reduction::Sum, 0.0)?;
-        let to = if pool.normalize { self.mean(&patches, pool, sum) } else { sum };
-        let to = self.as_picture(node, &pool.pool_spec, &patches, patches.channels, to)?;
-        self.give(node, 0, to)
-    }
-
-    /// Divides sums by how many points they are of.
-    fn mean(&mut self, patches: &Patches, pool: &SumPool, sum: Place) -> Place {
-        let counts: Vec<f32> = match pool.count_include_pad {
-            true => vec![area(patches.kernel) as f32],
-            false => patches.counts(),
+impl Windows {
+    /// A layer whose inputs stand as patches do; given, they stand channel behind channel.
+    fn ordered(&self, layer: &Layer, has_points: bool) -> Layer {
+        let Matrix { inputs, outputs, values } = &layer.matrix;
+        let (area, channels) = (area(self.kernel), inputs / area(self.kernel).max(1));
+        let from = |input: usize| match has_points {
+            true => input % channels * area + input / channels,
+            false => input,
         };
-        let first = counts.first().copied().unwrap_or(1.0);
-        if counts.iter().all(|count| *count == first) {
-            return self.map(Function::Affine, [1.0 / first, 0.0], sum);
-        }
-        let shares: Vec<f32> = counts.iter().map(|count| 1.0 / count.max(1.0)).collect();
-        let shares = self.stored(&shares.repeat(patches.pictures * patches.channels));
-        self.combine(Combination::Multiply, sum, shares)
-    }
-
-    /// What becomes of every patch; points outside of the picture are `fill`.
-    fn pooled(
-        &mut self,
-        node: &TypedNode,
-        patches: &Patches,
-        value: &Value,
-        reduction: Reduction,
-        fill: f32,
-    ) -> Lowered<Place> {
-        let (from, [height, width]) = self.framed(node, patches, value, fill)?;
-        let channels = patches.pictures * patches.channels;
-        let ([rows, columns], [tall, wide]) = (patches.result, patches.kernel);
-        let beside = self.arena.place(channels * height * columns * wide);
-        let of = |size, from, to| Dimension { size, from, to };
-        let dimensions = [
-            of(channels * height, width, columns * wide),
-            of(columns, patches.stride[1], wide),
-            of(wide, patches.dilation[1], 1),
-        ];
-        self.arrange(node, from, beside, &dimensions)?;
-        let lines = self.reduced(reduction, wide, beside);
-        let above = self.arena.place(channels * rows * columns * tall);
-        let dimensions = [
-            of(channels, height * columns, rows * columns * tall),
-            of(rows, patches.stride[0] * columns, columns * tall),
-            of(columns, 1, tall),
-            of(tall, patches.dilation[0] * columns, 1),
-        ];
-        self.arrange(node, lines, above, &dimensions)?;
-        Ok(self.reduced(reduction, tall, above))
-    }
-
-    /// A picture with all points that patches reach, and its sizes.
-    fn framed(
-        &mut self,
-        node: &TypedNode,
-        patches: &Patches,
-        value: &Value,
-        fill: f32,
-    ) -> Lowered<(Place, [usize; 2])> {
-        let [height, width] = patches.size;
-        let framed = [0, 1].map(|direction| {
-            let last = (patches.result[direction].max(1) - 1) * patches.stride[direction];
-            let reach = last + (patches.kernel[direction].max(1) - 1) * patches.dilation[direction];
-            (patches.before[direction] + patches.size[direction]).max(reach + 1)
-        });
-        if framed == patches.size {
-            return Ok((value.place, framed));
-        }
-        let [above, left] = patches.before;
-        let channels = patches.pictures * patches.channels;
-        let to = self.arena.place(channels * area(framed));
-        let of = |size, from, to| Dimension { size, from, to };
-        let frame = self.stored(&[fill]);
-        self.arrange(node, frame, to, &[of(to.len as usize, 0, 1)])?;
-        let skipped = (above * framed[1] + left) as u32;
-        let inner = Place { offset: to.offset + skipped, len: to.len - skipped };
-        let dimensions = [
-            of(channels, height * width, area(framed)),
-            of(height, width, framed[1]),
-            of(width, 1, 1),
-        ];
-        self.arrange(node, value.place, inner, &dimensions)?;
-        Ok((to, framed))
-    }
-}
-
-impl Patches {
-    /// The points of every patch that lie in the picture.
-    fn counts(&self) -> Vec<f32> {
-        let along = |direction: usize| {
-            let inside = move |patch: usize, point: usize| {
-                let at = patch * self.stride[direction] + point * self.dilation[direction];
-                let at = at.checked_sub(self.before[direction]);
-                at.is_some_and(|at| at < self.size[direction])
-            };
-            let points = 0..self.kernel[direction];
-            let count = move |patch| points.clone().filter(|point| inside(patch, *point)).count();
-            (0..self.result[direction]).map(count).collect::<Vec<usize>>()
-        };
-        let (rows, columns) = (along(0), along(1));
-        let of_row = |row: &usize| columns.iter().map(|column| (row * column) as f32).collect();
-        rows.iter().flat_map(|row| -> Vec<f32> { of_row(row) }).collect()
+        let values = (0..*inputs).flat_map(|input| &values[from(input) * outputs..][..*outputs]);
+        let matrix = Matrix { values: values.copied().collect(), ..layer.matrix };
+        Layer { matrix, bias: layer.bias.clone(), relu: layer.relu }
     }
 }

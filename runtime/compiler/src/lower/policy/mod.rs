@@ -7,10 +7,13 @@ mod arrange;
 mod convolve;
 mod elementwise;
 mod moved;
+mod pictures;
+mod pools;
 mod products;
 mod rows;
 mod tidy;
 mod values;
+mod windows;
 
 use std::collections::{HashMap, HashSet};
 
@@ -44,6 +47,7 @@ use tract_onnx::tract_core::ops::source::TypedSource;
 
 use super::agent::{Arena, at_most};
 use crate::flat::FlatGraph;
+use convolve::StoredTiles;
 use moved::nearest;
 use values::{PolicyWeights, StoredLayer, Values};
 
@@ -116,6 +120,8 @@ struct Lowering<'m> {
     layers: HashMap<[u8; 32], StoredLayer>,
     /// Where the tables among the weights start, by what they are.
     tables: HashMap<[u8; 32], u32>,
+    /// The same of layers on patches.
+    tiles: HashMap<[u8; 32], StoredTiles>,
 }
 
 type Lowered<T> = Result<T, CompileError>;
@@ -132,6 +138,7 @@ impl<'m> Lowering<'m> {
             longest_sparse: 0,
             layers: HashMap::new(),
             tables: HashMap::new(),
+            tiles: HashMap::new(),
         }
     }
 
@@ -162,6 +169,15 @@ impl<'m> Lowering<'m> {
         if is_known || op.is::<TypedSource>() || op.is::<Const>() {
             return Ok(());
         }
+        self.values.as_picture = self.as_picture(node);
+        let lowered = self.usual(node);
+        self.values.as_picture = None;
+        lowered
+    }
+
+    /// Operators that many policies have.
+    fn usual(&mut self, node: &TypedNode) -> Lowered<()> {
+        let op = &node.op;
         if let Some(einsum) = op.downcast_ref::<EinSum>() {
             return self.product(node, einsum);
         }

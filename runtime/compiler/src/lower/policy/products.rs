@@ -16,6 +16,9 @@ use super::{Lowered, Lowering, WIDEST};
 use crate::lower::agent::at_most;
 use crate::matching::{Layer, Matrix, as_matrix};
 
+/// Rows that fill the registers of a processor: so many are worked on as patches.
+const MANY_ROWS: usize = 12;
+
 /// Which side of a product has an axis that is longer than one.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
@@ -70,7 +73,15 @@ impl<'m> Lowering<'m> {
         if let Some(hot) = self.hot_vector(node, slot).filter(|_| is_tiled) {
             return self.row_of_layer(node, hot, layer);
         }
+        let picture = self.values.picture(self.outlet(node, slot)?);
+        let picture = picture.filter(|all| all.place.len as usize == layer.matrix.inputs);
+        if let Some(picture) = picture {
+            // All of it is summed over, in whichever order.
+            layer.matrix = picture.ordered(&layer.matrix);
+            self.values.as_picture = Some(picture);
+        }
         let value = self.operand(node, slot)?;
+        self.values.as_picture = None;
         let axes = self.product_axes(node, einsum)?;
         let own = |axis: &Axis| axis.at[slot];
         let is_inner = |axis: &&Axis| axis.kind == Kind::Inner;
@@ -88,20 +99,6 @@ impl<'m> Lowering<'m> {
         let (inputs, outputs) = (layer.matrix.inputs, layer.matrix.outputs);
         at_most("the width of a layer", inputs.max(outputs), WIDEST)?;
         let rows = (from.len as usize / inputs.max(1)).max(1);
-        // With one row the result needs no other order, so that bias and ReLU can join the layer.
-        let absorbed = if rows == 1 { self.absorb(node, &mut layer) } else { Vec::new() };
-        let to = self.arena.place((rows - 1) * outputs + padded(outputs));
-        let sparse_input = self.relu_behind(node, slot);
-        if sparse_input {
-            self.longest_sparse = self.longest_sparse.max(inputs);
-        }
-        let stored = self.stored_layer(&layer, sparse_input);
-        self.ops.extend(stored.ops(rows, from, to));
-        let to = Place { len: (rows * outputs) as u32, ..to };
-        if rows == 1 {
-            self.give(node, 0, to)?;
-            return absorbed.into_iter().try_for_each(|node| self.give(node, 0, to));
-        }
         let sized: Vec<&Axis> = axes.iter().filter(|axis| axis.out.is_some()).collect();
         let is_row = |axis: &&&Axis| own(axis).is_some();
         let mut behind: Vec<&Axis> = sized.iter().filter(is_row).copied().collect();
@@ -109,6 +106,25 @@ impl<'m> Lowering<'m> {
         let mut columns: Vec<&Axis> = sized.iter().filter(|axis| !is_row(axis)).copied().collect();
         columns.sort_by_key(|axis| axis.out);
         behind.extend(columns);
+        // Where the result needs no other order, bias and ReLU can join the layer.
+        let is_in_order = rows == 1 || self.is_in_order(node, &behind)?;
+        let absorbed = if is_in_order { self.absorb(node, &mut layer, rows) } else { Vec::new() };
+        let to = if rows < MANY_ROWS {
+            let to = self.arena.place((rows - 1) * outputs + padded(outputs));
+            let sparse_input = self.relu_behind(node, slot);
+            if sparse_input {
+                self.longest_sparse = self.longest_sparse.max(inputs);
+            }
+            let stored = self.stored_layer(&layer, sparse_input);
+            self.ops.extend(stored.ops(rows, from, to));
+            Place { len: (rows * outputs) as u32, ..to }
+        } else {
+            self.layer_on_rows(&layer, rows, from)
+        };
+        if is_in_order {
+            self.give(node, 0, to)?;
+            return absorbed.into_iter().try_for_each(|node| self.give(node, 0, to));
+        }
         self.result(node, to, &behind)
     }
 
@@ -166,11 +182,7 @@ impl<'m> Lowering<'m> {
 
     /// Adds a layer to the weights; one that stands there already, as in every turn of a loop, stands there once.
     fn stored_layer(&mut self, layer: &Layer, sparse_input: bool) -> StoredLayer {
-        let Matrix { inputs, outputs, values } = &layer.matrix;
-        let sizes = [*inputs, *outputs, usize::from(layer.relu), usize::from(sparse_input)];
-        let numbers = values.iter().chain(&layer.bias).flat_map(|number| number.to_le_bytes());
-        let bytes: Vec<u8> = sizes.iter().flat_map(|n| n.to_le_bytes()).chain(numbers).collect();
-        let key = sha256(&bytes);
+        let key = key(layer, [usize::from(layer.relu), usize::from(sparse_input)]);
         if let Some(stored) = self.layers.get(&key) {
             return *stored;
         }
@@ -180,12 +192,14 @@ impl<'m> Lowering<'m> {
     }
 
     /// Takes the bias and the ReLU behind a product into its layer, where nothing else reads what is between.
-    fn absorb(&self, node: &TypedNode, layer: &mut Layer) -> Vec<&'m TypedNode> {
+    fn absorb(&self, node: &TypedNode, layer: &mut Layer, rows: usize) -> Vec<&'m TypedNode> {
         let mut absorbed = Vec::new();
         let outputs = layer.matrix.outputs;
-        let sum = self
-            .only_reader(node, "Add")
-            .and_then(|(sum, constant)| Some((sum, bias(&*self.constant(constant)?, outputs)?)));
+        let of_columns = |constant: &Tensor| rows == 1 || constant.shape().last() == Some(&outputs);
+        let sum = self.only_reader(node, "Add").and_then(|(sum, constant)| {
+            let constant = self.constant(constant).filter(|constant| of_columns(constant))?;
+            Some((sum, bias(&constant, outputs)?))
+        });
         let mut last = node;
         if let Some((sum, bias)) = sum {
             layer.bias = bias;
@@ -220,7 +234,10 @@ impl<'m> Lowering<'m> {
     /// Whether a value comes out of a ReLU, so that many of its numbers are zero.
     fn relu_behind(&self, node: &TypedNode, slot: usize) -> bool {
         let Some(outlet) = node.inputs.get(slot) else { return false };
-        let before = self.model.node(outlet.node);
+        let mut before = self.model.node(outlet.node);
+        while let (true, Some(outlet)) = (before.op_is::<AxisOp>(), before.inputs.first()) {
+            before = self.model.node(outlet.node);
+        }
         let is_max = before.op_as::<TypedBinOp>().is_some_and(|op| op.0.name() == "Max");
         is_max && before.inputs.iter().any(|input| self.uniform(*input) == Some(0.0))
     }
@@ -249,17 +266,27 @@ impl<'m> Lowering<'m> {
         self.result(node, to, &order)
     }
 
-    /// Brings a result whose axes stand in some order into the order of the graph.
-    fn result(&mut self, node: &TypedNode, place: Place, order: &[&Axis]) -> Lowered<()> {
+    /// Whether the axes of a result stand in the order of the graph.
+    fn is_in_order(&self, node: &TypedNode, order: &[&Axis]) -> Lowered<bool> {
+        let dimensions = self.dimensions(node, order)?;
+        Ok(dimensions.iter().all(|dimension| dimension.from == dimension.to))
+    }
+
+    /// The copy that brings a result whose axes stand in some order into the order of the graph.
+    fn dimensions(&self, node: &TypedNode, order: &[&Axis]) -> Lowered<Vec<Dimension>> {
         let shape = self.shape(node, 0)?;
         let sizes: Vec<usize> = order.iter().map(|axis| axis.size).collect();
         let (from, own) = (strides(&sizes), strides(&shape));
-        let dimensions: Vec<Dimension> = (order.iter().zip(&from))
-            .filter_map(|(axis, from)| {
-                let to = *own.get(axis.out?)?;
-                Some(Dimension { size: axis.size, from: *from, to })
-            })
-            .collect();
+        let dimensions = (order.iter().zip(&from)).filter_map(|(axis, from)| {
+            let to = *own.get(axis.out?)?;
+            Some(Dimension { size: axis.size, from: *from, to })
+        });
+        Ok(dimensions.collect())
+    }
+
+    /// Brings a result whose axes stand in some order into the order of the graph.
+    fn result(&mut self, node: &TypedNode, place: Place, order: &[&Axis]) -> Lowered<()> {
+        let dimensions = self.dimensions(node, order)?;
         if dimensions.iter().all(|dimension| dimension.from == dimension.to) {
             return self.give(node, 0, place);
         }
@@ -299,6 +326,15 @@ impl<'m> Lowering<'m> {
         axes.sort_by_key(|axis| axis.at);
         Ok(axes)
     }
+}
+
+/// What tells layers apart: their sizes and numbers, and how they are stored.
+pub(super) fn key(layer: &Layer, how: [usize; 2]) -> [u8; 32] {
+    let Matrix { inputs, outputs, values } = &layer.matrix;
+    let sizes = [[*inputs, *outputs], how].concat();
+    let numbers = values.iter().chain(&layer.bias).flat_map(|number| number.to_le_bytes());
+    let bytes: Vec<u8> = sizes.iter().flat_map(|n| n.to_le_bytes()).chain(numbers).collect();
+    sha256(&bytes)
 }
 
 /// The numbers of a bias, one for every output.

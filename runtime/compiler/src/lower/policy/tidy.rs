@@ -191,7 +191,9 @@ fn reads_and_writes(op: &mut Op) -> (Vec<&mut Place>, Vec<&mut Place>) {
             vec![&mut op.input, &mut op.recurrent, &mut op.cell],
             vec![&mut op.to, &mut op.cell_to],
         ),
-        Op::Convolve(op) => (vec![&mut op.from], vec![&mut op.to, &mut op.patch, &mut op.point]),
+        Op::ConvolvePatches(op) => (vec![&mut op.from], vec![&mut op.to]),
+        Op::FoldPatches(op) => (vec![&mut op.from], vec![&mut op.to]),
+        Op::Int8ConvolvePatches(op) => (vec![&mut op.from], vec![&mut op.to, &mut op.quantised]),
         Op::Output(op) => (vec![&mut op.from], vec![]),
         Op::MaskedArgmax(op) => (vec![&mut op.from], vec![]),
         // No policy has others.

@@ -11,6 +11,7 @@ use sortie_core::plan::Profile;
 use sortie_plans::CompileError;
 use tract_onnx::prelude::*;
 
+use super::pictures::Picture;
 use super::{Lowered, Lowering};
 use crate::graph::{guarded, unsupported};
 use crate::lower::agent::{Arena, Weights};
@@ -18,9 +19,16 @@ use crate::lower::int8::{Int8Weights, Order};
 use crate::lower::rounding::Rounded;
 use crate::matching::Layer;
 
-/// The values that have a place.
+/// The values that have a place: in the order of the graph, or as pictures in another.
 #[derive(Default)]
-pub(super) struct Values(HashMap<OutletId, Value>);
+pub(super) struct Values {
+    in_order: HashMap<OutletId, Value>,
+    pictures: HashMap<OutletId, Picture>,
+    /// Pictures with the border of zeros that their only reader wants, as it reads them.
+    framed: HashMap<OutletId, Place>,
+    /// While a function of every number is lowered: the pictures that it works on as they are.
+    pub(super) as_picture: Option<Picture>,
+}
 
 /// A value: numbers behind each other, the last size the fastest.
 #[derive(Clone, Debug)]
@@ -31,11 +39,30 @@ pub(super) struct Value {
 
 impl Values {
     pub(super) fn insert(&mut self, outlet: OutletId, place: Place, shape: Vec<usize>) {
-        self.0.insert(outlet, Value { place, shape });
+        self.in_order.insert(outlet, Value { place, shape });
+    }
+
+    pub(super) fn insert_picture(&mut self, outlet: OutletId, picture: Picture) {
+        self.pictures.insert(outlet, picture);
+    }
+
+    /// The picture that stands in its own order, unless it stands in the graph's as well.
+    pub(super) fn picture(&self, outlet: OutletId) -> Option<Picture> {
+        self.pictures.get(&outlet).copied()
+    }
+
+    pub(super) fn insert_framed(&mut self, outlet: OutletId, place: Place) {
+        self.framed.insert(outlet, place);
+    }
+
+    pub(super) fn framed(&self, outlet: OutletId) -> Option<Place> {
+        self.framed.get(&outlet).copied()
     }
 
     pub(super) fn has(&self, outlet: OutletId) -> bool {
-        self.0.contains_key(&outlet)
+        self.in_order.contains_key(&outlet)
+            || self.pictures.contains_key(&outlet)
+            || self.framed.contains_key(&outlet)
     }
 }
 
@@ -52,10 +79,20 @@ impl Lowering<'_> {
     }
 
     pub(super) fn value(&mut self, outlet: OutletId) -> Lowered<Value> {
-        if let Some(value) = self.values.0.get(&outlet) {
+        let node = self.model.node(outlet.node);
+        let picture = self.values.picture(outlet);
+        if let (Some(picture), Some(_)) = (picture, self.values.as_picture) {
+            return Ok(Value { place: picture.place, shape: self.shape(node, outlet.slot)? });
+        }
+        if let Some(value) = self.values.in_order.get(&outlet) {
             return Ok(value.clone());
         }
-        let node = self.model.node(outlet.node);
+        if let Some(picture) = picture {
+            let place = self.channels_first(node, picture)?;
+            let shape = self.shape(node, outlet.slot)?;
+            self.values.insert(outlet, place, shape);
+            return self.value(outlet);
+        }
         let missing = || self.unsupported(node, "nothing computes it");
         let constant = self.constant(outlet).ok_or_else(missing)?;
         let numbers = numbers(&constant).ok_or_else(missing)?;
@@ -110,7 +147,11 @@ impl Lowering<'_> {
         if shape.iter().product::<usize>() != place.len as usize {
             return Err(self.unsupported(node, "its numbers are not as many as its sizes say"));
         }
-        self.values.insert((node.id, slot).into(), place, shape);
+        let outlet = (node.id, slot).into();
+        match self.values.as_picture {
+            Some(picture) => self.values.insert_picture(outlet, Picture { place, ..picture }),
+            None => self.values.insert(outlet, place, shape),
+        }
         Ok(())
     }
 

@@ -1,10 +1,12 @@
 //! The int8 kernels as every processor of the target runs them.
 
 use super::{
-    Count, Inputs, Int8Kernels, IntegerRows, Lanes, Marked, Matrix, PAIRS, Pair, Reach, Row, STRIP,
-    Scale, SparseVector, Strips, Vector, narrow, products, quantise, sparse_product,
+    Count, Inputs, Int8Kernels, Int8PatchLayer, IntegerRows, IntegerTiles, Lanes, Marked, Matrix,
+    PAIRS, Pair, Reach, Row, STRIP, Scale, SparseVector, Strips, Vector, narrow, products,
+    quantise, sparse_product,
 };
 use crate::kernels::Portable;
+use crate::kernels::patches::{Runs, convolve};
 use crate::math::relu;
 
 impl<A> Lanes for Portable<A> {
@@ -41,6 +43,16 @@ impl<A> Lanes for Portable<A> {
             add_rows(sums, rows, inputs);
         }
         sums
+    }
+
+    #[inline(always)]
+    fn add_runs<const COUNT: usize>(
+        self,
+        rows: &[Row],
+        runs: Runs<'_, i16>,
+        at: [usize; COUNT],
+    ) -> [[i32; STRIP]; COUNT] {
+        super::add_runs(rows, runs, at, add_row)
     }
 
     #[inline(always)]
@@ -105,6 +117,17 @@ impl<A> Int8Kernels for Portable<A> {
 
     fn int8_sparse_product(self, matrix: &Matrix<'_>, vector: SparseVector<'_>) -> Option<()> {
         sparse_product(self, matrix, vector)
+    }
+
+    fn int8_convolve(
+        self,
+        layer: &Int8PatchLayer<'_>,
+        integers: &[i16],
+        step: f32,
+        to: &mut [f32],
+    ) {
+        let tiles = IntegerTiles::of(self, layer, (integers, step));
+        convolve::<4, 1>(&tiles, (layer.patches, layer.outputs), to);
     }
 
     fn int8_dots(self, vector: &[i16], step: f32, rows: IntegerRows<'_>, products: &mut [f32]) {

@@ -15,6 +15,7 @@ use super::{MAGNITUDE, filled};
 use crate::kernels::int8::{
     Count, INPUTS, Inputs, IntegerRows, Lanes, Marked, PAIRS, Pair, Row, STRIP, Scale, Strips,
 };
+use crate::kernels::patches::Runs;
 
 /// Sums of a strip, eight columns in each vector.
 type Sums = [__m256i; 2];
@@ -23,11 +24,22 @@ type Sums = [__m256i; 2];
 #[inline]
 #[target_feature(enable = "avx2")]
 fn add_row(sums: Sums, row: &Row, inputs: Pair) -> Sums {
-    let halves: [__m128i; 2] = transmute!(*row);
-    let inputs = _mm256_set1_epi32(transmute!(inputs));
-    let ([low, high], [a, b]) = (halves, sums);
-    let low = _mm256_madd_epi16(_mm256_cvtepi8_epi16(low), inputs);
-    let high = _mm256_madd_epi16(_mm256_cvtepi8_epi16(high), inputs);
+    add_widened(sums, widened(row), transmute!(inputs))
+}
+
+/// A row of weights as int16.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn widened(row: &Row) -> [__m256i; 2] {
+    let [low, high]: [__m128i; 2] = transmute!(*row);
+    [_mm256_cvtepi8_epi16(low), _mm256_cvtepi8_epi16(high)]
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn add_widened([a, b]: Sums, [low, high]: [__m256i; 2], pair: i32) -> Sums {
+    let inputs = _mm256_set1_epi32(pair);
+    let (low, high) = (_mm256_madd_epi16(low, inputs), _mm256_madd_epi16(high, inputs));
     [_mm256_add_epi32(a, low), _mm256_add_epi32(b, high)]
 }
 
@@ -67,6 +79,49 @@ pub(super) fn add_strip<const COUNT: usize, const SETS: usize>(
         *joined = transmute!(total);
     }
     joined
+}
+
+/// Patches whose sums, two vectors each, fit into sixteen registers beside weights.
+pub(super) const PATCHES: usize = 6;
+
+/// [`crate::kernels::int8::Lanes::add_runs`].
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn add_runs<const COUNT: usize>(
+    rows: &[Row],
+    runs: Runs<'_, i16>,
+    at: [usize; COUNT],
+) -> [[i32; STRIP]; COUNT] {
+    let mut sums = [[_mm256_setzero_si256(); 2]; COUNT];
+    // Checked once and not for each pair, which are as many as the products of a vector.
+    if runs.are_inside(&at, rows.len(), 2) {
+        let mut row = rows.as_ptr();
+        for outer in 0..runs.counts[0] {
+            for inner in 0..runs.counts[1] {
+                let run = outer * runs.steps[0] + inner * runs.steps[1];
+                let run = runs.from.as_ptr().wrapping_add(run);
+                for pair in 0..runs.length.div_ceil(2) {
+                    // SAFETY: there is a row for every pair of all runs.
+                    #[allow(unsafe_code)]
+                    let weights = widened(unsafe { &*row });
+                    row = row.wrapping_add(1);
+                    for (sum, at) in sums.iter_mut().zip(at) {
+                        // SAFETY: every run lies inside the picture, its last pair whole.
+                        #[allow(unsafe_code)]
+                        let pair: i32 = unsafe {
+                            run.wrapping_add(at + 2 * pair).cast::<i32>().read_unaligned()
+                        };
+                        *sum = add_widened(*sum, weights, pair);
+                    }
+                }
+            }
+        }
+    }
+    let mut results = [[0; STRIP]; COUNT];
+    for (result, sum) in results.iter_mut().zip(sums) {
+        *result = transmute!(sum);
+    }
+    results
 }
 
 /// [`crate::kernels::int8::Lanes::add_two_strips`].

@@ -15,14 +15,21 @@ use crate::kernels::int8::{
     Count, INPUTS, Inputs, IntegerRows, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale,
     Strips,
 };
+use crate::kernels::patches::Runs;
 
 /// Adds a row of weights, times its pair of inputs.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
 fn add_row(sums: __m512i, row: &Row, inputs: Pair) -> __m512i {
+    _mm512_dpwssd_epi32(sums, widened(row), _mm512_set1_epi32(transmute!(inputs)))
+}
+
+/// A row of weights as int16.
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw")]
+fn widened(row: &Row) -> __m512i {
     let row: __m256i = transmute!(*row);
-    let inputs = _mm512_set1_epi32(transmute!(inputs));
-    _mm512_dpwssd_epi32(sums, _mm512_cvtepi8_epi16(row), inputs)
+    _mm512_cvtepi8_epi16(row)
 }
 
 /// [`crate::kernels::int8::Lanes::add_strip`] with `SETS` sums for every column, so that additions need not wait for each other.
@@ -55,6 +62,49 @@ pub(super) fn add_strip<const COUNT: usize, const SETS: usize>(
         *joined = transmute!(total);
     }
     joined
+}
+
+/// Patches whose sums fit into registers; their starts are as many as there are general registers.
+pub(super) const PATCHES: usize = 14;
+
+/// [`crate::kernels::int8::Lanes::add_runs`].
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
+pub(super) fn add_runs<const COUNT: usize>(
+    rows: &[Row],
+    runs: Runs<'_, i16>,
+    at: [usize; COUNT],
+) -> [[i32; STRIP]; COUNT] {
+    let mut sums = [_mm512_setzero_si512(); COUNT];
+    // Checked once and not for each pair, which are as many as the products of a vector.
+    if runs.are_inside(&at, rows.len(), 2) {
+        let mut row = rows.as_ptr();
+        for outer in 0..runs.counts[0] {
+            for inner in 0..runs.counts[1] {
+                let run = outer * runs.steps[0] + inner * runs.steps[1];
+                let run = runs.from.as_ptr().wrapping_add(run);
+                for pair in 0..runs.length.div_ceil(2) {
+                    // SAFETY: there is a row for every pair of all runs.
+                    #[allow(unsafe_code)]
+                    let weights = widened(unsafe { &*row });
+                    row = row.wrapping_add(1);
+                    for (sum, at) in sums.iter_mut().zip(at) {
+                        // SAFETY: every run lies inside the picture, its last pair whole.
+                        #[allow(unsafe_code)]
+                        let pair: i32 = unsafe {
+                            run.wrapping_add(at + 2 * pair).cast::<i32>().read_unaligned()
+                        };
+                        *sum = _mm512_dpwssd_epi32(*sum, weights, _mm512_set1_epi32(pair));
+                    }
+                }
+            }
+        }
+    }
+    let mut results = [[0; STRIP]; COUNT];
+    for (result, sum) in results.iter_mut().zip(sums) {
+        *result = transmute!(sum);
+    }
+    results
 }
 
 /// [`crate::kernels::int8::Lanes::add_two_strips`].

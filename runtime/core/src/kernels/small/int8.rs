@@ -2,7 +2,7 @@
 
 use core::slice::{Iter, IterMut};
 
-use zerocopy::{FromBytes, IntoBytes};
+use zerocopy::{FromBytes, IntoBytes, transmute};
 
 use super::Small;
 #[cfg(all(feature = "dsp", target_arch = "arm"))]
@@ -11,10 +11,12 @@ use super::parts::{List, PART, Part};
 use super::sums::add;
 #[cfg(not(all(feature = "dsp", target_arch = "arm")))]
 use super::sums::{dot, mix, of_all, of_listed};
+use crate::kernels::int8::patches::AddIntegerRuns;
 use crate::kernels::int8::{
-    Int8Kernels, IntegerRows, Matrix, PAIRS, Pair, Reach, Row, STRIP, Scale, SparseVector, Vector,
-    narrow,
+    Count, Int8Kernels, Int8PatchLayer, IntegerRows, IntegerTiles, Matrix, PAIRS, Pair, Reach, Row,
+    STRIP, Scale, SparseVector, Vector, add_runs, narrow,
 };
+use crate::kernels::patches::{Runs, convolve};
 use crate::math::relu;
 
 impl<A, const SKIPS: bool> Int8Kernels for Small<A, SKIPS> {
@@ -90,6 +92,18 @@ impl<A, const SKIPS: bool> Int8Kernels for Small<A, SKIPS> {
     }
 
     #[inline(never)]
+    fn int8_convolve(
+        self,
+        layer: &Int8PatchLayer<'_>,
+        integers: &[i16],
+        step: f32,
+        to: &mut [f32],
+    ) {
+        let tiles = IntegerTiles::of(self, layer, (integers, step));
+        convolve::<1, 1>(&tiles, (layer.patches, layer.outputs), to);
+    }
+
+    #[inline(never)]
     fn int8_dots(self, vector: &[i16], step: f32, rows: IntegerRows<'_>, products: &mut [f32]) {
         for (slot, product) in rows.slots.iter().zip(products) {
             let (row, row_step) = rows.row(*slot);
@@ -105,6 +119,33 @@ impl<A, const SKIPS: bool> Int8Kernels for Small<A, SKIPS> {
     #[inline(never)]
     fn narrow(self, sums: &[i32], most: u16, integers: &mut [i16]) -> f32 {
         narrow(sums, most, integers)
+    }
+}
+
+impl<A, const SKIPS: bool> AddIntegerRuns for Small<A, SKIPS> {
+    #[inline(always)]
+    fn add_runs<const COUNT: usize>(
+        self,
+        rows: &[Row],
+        runs: Runs<'_, i16>,
+        at: [usize; COUNT],
+    ) -> [[i32; STRIP]; COUNT] {
+        add_runs(rows, runs, at, |sums, row, pair| {
+            let halves: [Part; 2] = transmute!(*row);
+            for (sums, columns) in sums.as_chunks_mut().0.iter_mut().zip(&halves) {
+                add(sums, columns, pair);
+            }
+        })
+    }
+
+    #[inline(always)]
+    fn numbers_of(self, sums: &[i32; STRIP], count: Count<'_>) -> [f32; STRIP] {
+        let mut numbers = [0.0; STRIP];
+        let counts = count.steps.iter().zip(count.bias);
+        for ((number, sum), (step, bias)) in numbers.iter_mut().zip(sums).zip(counts) {
+            *number = *bias + *sum as f32 * (count.step * step);
+        }
+        if count.relu { numbers.map(relu) } else { numbers }
     }
 }
 

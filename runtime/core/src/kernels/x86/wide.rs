@@ -9,10 +9,11 @@ use core::arch::x86_64::{
 
 use zerocopy::transmute;
 
-use super::{StripRows, sparse};
+use super::{StripRows, runs, sparse};
 use crate::kernels::arithmetic::Arithmetic;
 use crate::kernels::dot::ROWS;
 use crate::kernels::mark::{LANES, Marks};
+use crate::kernels::patches::Runs;
 use crate::kernels::several::{PART, Strip};
 
 /// Vectors of a part.
@@ -183,4 +184,12 @@ pub(super) fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
 sparse::sparse_product! {
     /// See [`crate::kernels::product::sparse_product`]; the sums of one tile fit into registers.
     __m256, _mm256_set1_ps, _mm256_loadu_ps, 1, false, "avx2,fma,bmi1,bmi2,lzcnt,popcnt"
+}
+
+/// Patches whose sums, two vectors each, fit into sixteen registers beside weights.
+pub(super) const PATCHES: usize = 6;
+
+runs::add_runs! {
+    /// See [`crate::kernels::patches::AddRuns::add_runs`].
+    __m256, VECTORS, _mm256_set1_ps, "avx2,fma,bmi1,bmi2,lzcnt,popcnt"
 }

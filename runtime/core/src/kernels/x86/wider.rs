@@ -8,10 +8,11 @@ use core::arch::x86_64::{
 
 use zerocopy::transmute;
 
-use super::{StripRows, sparse, wide};
+use super::{StripRows, runs, sparse, wide};
 use crate::kernels::arithmetic::Arithmetic;
 use crate::kernels::dot::{LANES, ROWS};
 use crate::kernels::mark::Marks;
+use crate::kernels::patches::Runs;
 use crate::kernels::several::{PART, Strip};
 
 /// Classes of numbers: either NaN, either infinity.
@@ -168,4 +169,12 @@ pub(super) fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
 sparse::sparse_product! {
     /// See [`crate::kernels::product::sparse_product`]; the sums of two tiles fit into registers.
     __m512, _mm512_set1_ps, _mm512_loadu_ps, 2, true, "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl"
+}
+
+/// Patches whose sums fit into registers; their starts are as many as there are general registers.
+pub(super) const PATCHES: usize = 14;
+
+runs::add_runs! {
+    /// See [`crate::kernels::patches::AddRuns::add_runs`].
+    __m512, 1, _mm512_set1_ps, "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl"
 }

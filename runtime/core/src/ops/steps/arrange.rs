@@ -95,14 +95,23 @@ fn copy_row(
     to: &mut [f32],
     to_stride: usize,
 ) -> Result<(), DecideError> {
-    if (from_stride, to_stride) == (1, 1) {
-        let from = from.get(..count).ok_or(DecideError::BadLength)?;
-        to.get_mut(..count).ok_or(DecideError::BadLength)?.copy_from_slice(from);
-        return Ok(());
-    }
-    for index in 0..count {
-        let from = from.get(index * from_stride).ok_or(DecideError::BadLength)?;
-        *to.get_mut(index * to_stride).ok_or(DecideError::BadLength)? = *from;
+    // Checked once and not for each number.
+    let len = |stride: usize| count.saturating_sub(1).saturating_mul(stride).saturating_add(1);
+    let from = from.get(..len(from_stride)).ok_or(DecideError::BadLength)?;
+    let to = to.get_mut(..len(to_stride)).ok_or(DecideError::BadLength)?;
+    match (from_stride, to_stride) {
+        (1, 1) => to.copy_from_slice(from),
+        (0, 1) => to.fill(from.first().copied().unwrap_or_default()),
+        (0, _) | (_, 0) => {
+            for index in 0..count {
+                let from = from.get(index * from_stride).ok_or(DecideError::BadLength)?;
+                *to.get_mut(index * to_stride).ok_or(DecideError::BadLength)? = *from;
+            }
+        }
+        _ => {
+            let places = to.iter_mut().step_by(to_stride);
+            places.zip(from.iter().step_by(from_stride)).for_each(|(to, from)| *to = *from);
+        }
     }
     Ok(())
 }

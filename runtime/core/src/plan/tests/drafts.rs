@@ -17,6 +17,8 @@ pub(super) struct Draft {
     pub(super) weights: Vec<f32>,
     pub(super) hidden: u32,
     pub(super) actions: u32,
+    /// Whether layers have int8 weights.
+    pub(super) int8: bool,
 }
 
 impl Draft {
@@ -56,7 +58,8 @@ impl Draft {
     pub(super) fn bytes(&self) -> AlignedBytes {
         let actions = self.actions.max(1) as usize;
         let sizes = Sizes { n_max: 1, features: 1, actions, ..SIZES };
-        let bytes = assemble(sizes, Profile::Exact, &self.program, &self.weights);
+        let profile = if self.int8 { Profile::Int8 } else { Profile::Exact };
+        let bytes = assemble(sizes, profile, &self.program, &self.weights);
         with_header(bytes.as_slice(), |header| {
             (header.network, header.hidden) = (Network::Policy, self.hidden);
         })
