@@ -57,9 +57,9 @@ pub use network::{
     plan_answers,
 };
 pub use observations::{
-    OwnedEntities, OwnedTeamQuery, random_allocation_states, random_entities, random_observations,
-    random_observations_of, random_policy_inputs, random_states, random_team_queries,
-    random_team_queries_of,
+    OwnedEntities, OwnedTeamQuery, normal_numbers, random_allocation_states, random_entities,
+    random_observations, random_observations_of, random_policy_inputs, random_states,
+    random_team_queries, random_team_queries_of,
 };
 pub use onnx_file::read_onnx;
 pub use options::{
@@ -71,7 +71,7 @@ pub use policy::{
     PolicyOutput, PolicyState, ValueType, roles_of,
 };
 pub use policy_plan::{
-    CompiledPolicy, LARGEST_DEVIATION, OutputAgreement, PlanFlatPolicy, PolicyAgreement,
+    CompiledPolicy, LARGEST_DEVIATION, OutputAgreement, PlanFlatPolicy, PolicyAgreement, ProofCase,
     RecordedCase, choices, policy_agreement,
 };
 pub use process::{CompilerProcess, ProcessLimits, Request, read_request};

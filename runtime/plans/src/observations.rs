@@ -187,6 +187,16 @@ pub fn random_states(size: usize, seed: u64) -> impl FnMut() -> Vec<f32> {
     }
 }
 
+/// Numbers of the normal distribution, by seed (Box and Muller's method).
+pub fn normal_numbers(seed: u64) -> impl FnMut() -> f64 {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+    let mut uniform = move || (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
+    move || {
+        let (radius, turn) = (1.0 - uniform(), uniform());
+        (-2.0 * radius.ln()).sqrt() * (std::f64::consts::TAU * turn).cos()
+    }
+}
+
 struct Random(Xoshiro256PlusPlus);
 
 impl Random {

@@ -4,14 +4,14 @@ use sortie_bundle::sha256;
 use sortie_core::plan::{AlignedBytes, Network, Profile, Program};
 use sortie_plans::{
     Annex, Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, Distances,
-    FlatPolicy, PlanFlatPolicy, PolicyAnswer, PolicyOptions, TeamSizes, TrueNumber,
-    random_policy_inputs, relative_error, report,
+    FlatPolicy, PlanFlatPolicy, PolicyAnswer, PolicyOptions, ProofCase, TeamSizes, TrueNumber,
+    normal_numbers, random_policy_inputs, relative_error, report,
 };
 
 use crate::flat::FlatGraph;
 use crate::graph::guarded;
 use crate::lower::{AgentSizes, Choice, LoweredPolicy, Origin, assemble, lower_policy};
-use crate::reference::TruePolicy;
+use crate::reference::{Spread, TruePolicy};
 
 /// Multiply-adds of all inputs of a proof together, which the reference evaluator does nine times over in a second.
 const MOST_MULTIPLY_ADDS: u64 = 50_000_000;
@@ -27,6 +27,16 @@ pub fn compile_policy(
     onnx: &[u8],
     policy: &PolicyOptions,
     options: &CompileOptions,
+) -> Result<CompiledPolicy, CompileError> {
+    compile_recorded_policy(onnx, policy, options, &[])
+}
+
+/// The same; a quarter of the proof's inputs are recorded ones.
+pub(crate) fn compile_recorded_policy(
+    onnx: &[u8],
+    policy: &PolicyOptions,
+    options: &CompileOptions,
+    recorded: &[ProofCase],
 ) -> Result<CompiledPolicy, CompileError> {
     let graph = FlatGraph::read(onnx, policy)?;
     let facts = graph.interface.facts.clone();
@@ -58,7 +68,7 @@ pub fn compile_policy(
     let draft = AlignedBytes::copy_of(&assemble(&program, &weights, sizes, &origin)?);
     let mut plan = PlanFlatPolicy::load(draft.as_slice(), facts.clone())?;
     let mut truth = TruePolicy::open(graph)?;
-    let comparison = prove_policy(&mut plan, &mut truth, options)?;
+    let comparison = prove_policy(&mut plan, &mut truth, options, recorded)?;
     origin.max_error = comparison.max_rel_error;
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let mut bytes = assemble(&program, &weights, sizes, &origin)?;
@@ -68,11 +78,13 @@ pub fn compile_policy(
     Ok(CompiledPolicy { compiled: Compiled { bytes, report }, facts })
 }
 
-/// Compares a plan with the truth on random inputs, and refuses one that is further from it than rounding accounts for.
+/// Compares a plan with the truth, and refuses one that is further from it than rounding accounts for. Inputs are random ones,
+/// half of them around the means that the file takes away, and recorded ones.
 pub(crate) fn prove_policy(
     plan: &mut dyn FlatPolicy,
     truth: &mut TruePolicy,
     options: &CompileOptions,
+    recorded: &[ProofCase],
 ) -> Result<Comparison, CompileError> {
     let CompileOptions { inputs, seed, .. } = *options;
     let facts = plan.facts().clone();
@@ -84,11 +96,19 @@ pub(crate) fn prove_policy(
     };
     let mut states = vec![0.0; facts.state_length()];
     let inputs = facts.affordable(inputs, MOST_MULTIPLY_ADDS);
-    for (index, given) in random_policy_inputs(inputs, &facts, seed).iter().enumerate() {
+    let inputs_in_all = inputs;
+    let random = random_policy_inputs(inputs, &facts, seed);
+    let random = around_means(random, &truth.normalisers(), seed);
+    for (index, inputs) in random.into_iter().enumerate() {
         if index % STEPS == 0 {
             states.fill(0.0);
         }
-        let given: Vec<&[f32]> = given.iter().map(Vec::as_slice).collect();
+        let case = recorded_at(index, inputs_in_all, recorded);
+        let case = case.cloned().unwrap_or(ProofCase { inputs, states: None });
+        if let Some(known) = &case.states {
+            states.clone_from(known);
+        }
+        let given: Vec<&[f32]> = case.inputs.iter().map(Vec::as_slice).collect();
         proof.add(plan, truth, &given, &mut states)?;
     }
     if inputs > 0 && proof.unsure == inputs {
@@ -100,6 +120,30 @@ pub(crate) fn prove_policy(
         return Err(proof.distances.error(seed));
     }
     Ok(proof.comparison)
+}
+
+/// Every second input around the means of what the file normalises.
+fn around_means(
+    mut inputs: Vec<Vec<Vec<f32>>>,
+    normalisers: &[Option<Vec<Spread>>],
+    seed: u64,
+) -> Vec<Vec<Vec<f32>>> {
+    let mut normal = normal_numbers(seed);
+    for input in inputs.iter_mut().step_by(2) {
+        for (numbers, spreads) in input.iter_mut().zip(normalisers) {
+            for (number, [mean, deviation]) in numbers.iter_mut().zip(spreads.iter().flatten()) {
+                *number = (mean + deviation * normal()) as f32;
+            }
+        }
+    }
+    inputs
+}
+
+/// What was recorded instead of every fourth input, evenly from the first case to the last.
+fn recorded_at(index: usize, inputs: usize, recorded: &[ProofCase]) -> Option<&ProofCase> {
+    let is_fourth = index % 4 == 3;
+    let place = (index / 4 * recorded.len()).checked_div(inputs / 4)?;
+    recorded.get(place).filter(|_| is_fourth)
 }
 
 /// What a plan's answers are beside the truth.

@@ -7,7 +7,7 @@ use tract_onnx::prelude::TractError;
 
 use super::{Engine, Named, missing};
 use crate::graph::guarded;
-use crate::reference::{Noise, Reference, Tensor};
+use crate::reference::{Noise, Reference, Spread, Tensor};
 
 /// A file in double precision.
 #[derive(Debug)]
@@ -31,6 +31,11 @@ impl ReferenceEngine {
         let declared = declared.filter(|input| !is_stored(&input.name));
         let inputs = declared.map(|input| (input.name.clone(), kind(input))).collect();
         Ok(Self { reference, inputs, outputs, noise: None })
+    }
+
+    /// Means and deviations of an input of some sizes; none where the file does not normalise it.
+    pub(crate) fn normaliser(&self, input: &str, shape: &[usize]) -> Option<Vec<Spread>> {
+        self.reference.normaliser(input, shape)
     }
 
     /// Says what comes next: run 0 of an input is exact, every later one has noise of its own, drawn by the seed.

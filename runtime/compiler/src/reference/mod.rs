@@ -9,6 +9,7 @@ mod elementwise;
 mod gathers;
 mod moves;
 mod noise;
+mod normaliser;
 mod policy;
 mod products;
 mod quantised;
@@ -23,6 +24,7 @@ use std::rc::Rc;
 use tract_onnx::pb::{AttributeProto, GraphProto, ModelProto, NodeProto};
 
 pub(crate) use noise::Noise;
+pub(crate) use normaliser::Spread;
 pub(crate) use policy::TruePolicy;
 pub(crate) use tensor::Tensor;
 use tensor::{Failure, count};

@@ -1,11 +1,15 @@
 //! A policy's answers beside the truth.
 
-use sortie_plans::{CompileError, OutputRole, PolicyAnswer, TrueFlatPolicy, TrueNumber};
+use sortie_plans::{
+    CompileError, OutputRole, PolicyAnswer, PolicyInput, TrueFlatPolicy, TrueNumber,
+};
 
+use super::Spread;
 use super::truth::{RUNS, Runs, truth};
 use crate::engine::reference::ReferenceEngine;
 use crate::engine::{Engine, Named};
 use crate::flat::{FlatGraph, Interface};
+use crate::graph::guarded;
 use crate::networks::{DoublePrecision, Opens};
 
 /// A policy whose truth is known.
@@ -25,6 +29,15 @@ impl TruePolicy {
         let interface = graph.interface;
         let states = vec![vec![0.0; interface.facts.state_length()]; RUNS];
         Ok(Self { engine, interface, states, calls: 0 })
+    }
+
+    /// Means and deviations of every input that is no state; none where the file does not normalise it.
+    pub(crate) fn normalisers(&self) -> Vec<Option<Vec<Spread>>> {
+        let normaliser = |input: &PolicyInput| {
+            let found = || Ok(self.engine.normaliser(&input.name, &input.shape));
+            guarded(found).ok().flatten().filter(|_| input.kind.is_float())
+        };
+        self.interface.facts.given().map(normaliser).collect()
     }
 
     /// All true outputs of the file, scores among them.
