@@ -22,8 +22,8 @@ use self::bundle::Paired;
 
 /// Compile an ONNX network to a plan for the runtime core
 ///
-/// The plan is compared with the graph on random observations of all mask patterns and refused where
-/// they differ by more than 1e-5 relative. The weights of an int8 plan are rounded for a tenth of the recorded observations,
+/// The plan is compared with the network in double precision, on random observations of all mask patterns, and refused where
+/// it is further off than the rounding of 32 bits accounts for. The weights of an int8 plan are rounded for a tenth of the recorded observations,
 /// and the plan is compared with the f32 plan on all others instead: it is refused where it takes another action in more
 /// than 0.5 % of them. Prints what the plan will cost: flash, arena, work.
 ///
@@ -37,6 +37,7 @@ use self::bundle::Paired;
   sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11
   sortie compile models/save-the-city/agent.onnx -o agent.plan --n-max 11 --profile int8 --observations seen.bin
   sortie compile walking.onnx -o walking.plan
+  sortie compile walking.onnx -o walking.plan --npz recorded.npz
   sortie compile walking.onnx -o walking.plan --profile int8 --npz recorded.npz
   sortie compile models/first -o models/first-with-plans
   sortie compile models/save-the-city -o agent.plan --profile int8
@@ -58,8 +59,8 @@ pub(crate) struct CompileArguments {
     /// which it must act as the f32 plan does
     #[arg(long, value_name = "FILE")]
     observations: Option<PathBuf>,
-    /// Recorded inputs `in__NAME` of a policy of somebody else, on which its int8 plan must act as the f32 plan does:
-    /// arrays that `numpy.savez` saved, one case behind the other
+    /// Recorded inputs `in__NAME` of a policy of somebody else, on which its plan is proved as well, and on which its int8
+    /// plan must act as the f32 plan does: arrays that `numpy.savez` saved, one case behind the other
     #[arg(long, value_name = "FILE", conflicts_with = "observations")]
     npz: Option<PathBuf>,
     /// Write an int8 plan however seldom it takes the same action or succeeds, and whatever was recorded
@@ -163,7 +164,10 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
         return Err(Failure::new(Exit::Usage, message));
     }
     let policy = arguments.policy.options_for(path)?;
-    let (compiled, remarks) = compile_any(&onnx, &options, &policy).map_err(failed)?;
+    let (compiled, remarks) = match &arguments.npz {
+        Some(file) => bundle::recorded(arguments, &onnx, &options, file, &failed)?,
+        None => compile_any(&onnx, &options, &policy).map_err(failed)?,
+    };
     remarks.iter().for_each(|remark| tell!("note: {remark}"));
     write_plan(arguments, &compiled.bytes)?;
     print(arguments, &compiled.report, None, None);
@@ -283,7 +287,9 @@ fn print(
         report.arena_bytes_per_agent
     );
     say!(
-        "largest error against the graph {:.1e} on {} inputs, {} other actions",
+        "rounding {:.1}{}, largest error {:.1e}, on {} inputs, {} other actions",
+        report.max_distance.unwrap_or(0.0),
+        if arguments.profile == PlanProfile::Int8 { "" } else { " of at most 16" },
         report.max_rel_error,
         report.inputs,
         report.action_mismatches

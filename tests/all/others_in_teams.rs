@@ -30,7 +30,13 @@ fn verify(bundle: &str) {
     let report = json(&["verify", bundle, "--inputs", "64", "--against", "tract,golden", "--json"]);
     let engines = report["engines"].as_array().expect("a list of engines");
     let names: Vec<&str> = engines.iter().filter_map(|engine| engine["name"].as_str()).collect();
-    assert_eq!(names, ["plan against tract", "plan against golden", "tract against golden"]);
+    let want = [
+        "plan against tract",
+        "plan against double precision",
+        "plan against golden",
+        "tract against golden",
+    ];
+    assert_eq!(names, want);
     for engine in engines {
         assert_eq!(engine["refusals_differ"], 0, "{engine}");
         assert!(engine["inputs"].as_u64() >= Some(64), "{engine}");

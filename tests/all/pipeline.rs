@@ -53,7 +53,7 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
 
     let few = ["--inputs", "64", "--against", "tract,golden", "--json"];
     let verified = json(&[&["verify", &bundle][..], &few].concat());
-    assert_eq!(verified["engines"].as_array().map(Vec::len), Some(6), "{verified}");
+    assert_eq!(verified["engines"].as_array().map(Vec::len), Some(8), "{verified}");
     for (network, file) in [("agent", "agent.onnx"), ("team-value", "allocator_team_value.onnx")] {
         let onnx = format!("{bundle}/{file}");
         let compiled = json(&["compile", &onnx, "-o", &plan, "--n-max", "11", "--json"]);
@@ -63,7 +63,7 @@ fn a_run_becomes_a_bundle_that_a_team_plays_with() {
             assert_eq!(compiled[key], inspected[key], "{key}");
         }
         let alone = json(&["verify", &onnx, "--inputs", "64", "--against", "tract", "--json"]);
-        assert_eq!(alone["engines"].as_array().map(Vec::len), Some(1), "{alone}");
+        assert_eq!(alone["engines"].as_array().map(Vec::len), Some(2), "{alone}");
     }
     let facts = json(&["inspect", &bundle, "--json"]);
     assert_eq!(facts["network"]["allocator"], "team-value");

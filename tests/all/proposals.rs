@@ -140,9 +140,11 @@ fn a_bundle_that_proposes_is_verified_evaluated_and_run() {
     proposing(&folder);
     let bundle = folder.display().to_string();
     let verified = json(&["verify", &bundle, "--inputs", "32", "--against", "tract", "--json"]);
-    let named = |engine: &&serde_json::Value| engine["name"] == "allocator plan against tract";
     let engines = verified["engines"].as_array().expect("engines");
-    assert!(engines.iter().any(|engine| named(&engine)), "{verified}");
+    for engine in ["tract", "double precision"] {
+        let name = format!("allocator plan against {engine}");
+        assert!(engines.iter().any(|engine| engine["name"] == name.as_str()), "{verified}");
+    }
 
     let eval = |proposals: &str| {
         let arguments = ["eval", &bundle, "--episodes", "4", "--proposals", proposals, "--json"];

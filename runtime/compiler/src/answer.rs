@@ -12,7 +12,9 @@ use sortie_plans::{
 use tract_onnx::pb;
 use tract_onnx::prelude::*;
 
-use crate::compile::{compile, compile_policy, compile_proposals, compile_rounded};
+use crate::compile::{
+    compile, compile_policy, compile_proposals, compile_recorded_policy, compile_rounded,
+};
 use crate::flat::{FlatGraph, declared, described, remarks};
 use crate::graph::{EntityRoles, Graph, Inputs, TeamRoles, guarded, shape};
 use crate::matching::match_agent;
@@ -35,6 +37,9 @@ pub fn answer_compiler() -> io::Result<()> {
         ),
         Request::CompilePolicy(policy, options) => {
             postcard::to_stdvec(&compile_policy(&onnx, &policy, &options))
+        }
+        Request::CompileRecordedPolicy(policy, options, recorded) => {
+            postcard::to_stdvec(&compile_recorded_policy(&onnx, &policy, &options, &recorded))
         }
         Request::Rehearse { n_max, features } => {
             postcard::to_stdvec(&rehearse(&onnx, n_max, features))

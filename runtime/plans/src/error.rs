@@ -138,7 +138,7 @@ pub enum CompileError {
     },
     /// The plan is further from the truth than 32 bits account for, so it was thrown away.
     #[error(
-        "the plan is wrong on random input {input} of seed {seed}: it gives {number:e} where the file's nodes, in double \
+        "the plan is wrong on input {input} of the proof of seed {seed}: it gives {number:e} where the file's nodes, in double \
          precision, give {truth:e}; that is {distance:.0} times what 32 bits make any engine err there (limit {limit}, \
          root mean square of an output's number {mean:.1} of {mean_limit}): please report this file"
     )]
@@ -162,7 +162,7 @@ pub enum CompileError {
     },
     /// The plan answers where the network has no answer, or gives none where it has one.
     #[error(
-        "on random input {input} of seed {seed} the plan {}: please report this file",
+        "on input {input} of the proof of seed {seed} the plan {}: please report this file",
         if *.answers { "answers, and the network's numbers are not finite" } else { "gives no answer, and the network does" }
     )]
     AnswersOtherwise {

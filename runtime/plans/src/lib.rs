@@ -71,7 +71,7 @@ pub use policy::{
     PolicyOutput, PolicyState, ValueType, finite_score, roles_of,
 };
 pub use policy_plan::{
-    CompiledPolicy, LARGEST_DEVIATION, OutputAgreement, PlanFlatPolicy, PolicyAgreement,
+    CompiledPolicy, LARGEST_DEVIATION, OutputAgreement, PlanFlatPolicy, PolicyAgreement, ProofCase,
     RecordedCase, choices, policy_agreement,
 };
 pub use process::{CompilerProcess, ProcessLimits, Request, read_request};

@@ -142,6 +142,22 @@ pub struct OutputAgreement {
     pub largest_deviation: f64,
 }
 
+/// The same, kept by itself: what a proof goes through beside random inputs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ProofCase {
+    /// As [`RecordedCase::inputs`].
+    pub inputs: Vec<Vec<f32>>,
+    /// As [`RecordedCase::states`].
+    pub states: Option<Vec<f32>>,
+}
+
+impl From<RecordedCase<'_>> for ProofCase {
+    fn from(case: RecordedCase<'_>) -> Self {
+        let inputs = case.inputs.into_iter().map(<[f32]>::to_vec).collect();
+        Self { inputs, states: case.states }
+    }
+}
+
 impl PolicyAgreement {
     /// Share of observations with the same actions, of the output where it is least; 1 where nothing is chosen.
     pub fn share(&self) -> f64 {

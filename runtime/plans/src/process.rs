@@ -27,7 +27,7 @@ use crate::bundle_plans::Compiler;
 use crate::error::{CompileError, Ending};
 use crate::facts::{InspectedOnnx, OnnxFacts};
 use crate::policy::{PolicyFacts, PolicyOptions};
-use crate::policy_plan::CompiledPolicy;
+use crate::policy_plan::{CompiledPolicy, ProofCase};
 use crate::report::{CompileOptions, Compiled, ProposalFiles};
 
 /// What the process may use. Agents' networks need about a tenth.
@@ -58,6 +58,8 @@ pub enum Request {
     CompileProposals(CompileOptions),
     /// A plan of a policy.
     CompilePolicy(PolicyOptions, CompileOptions),
+    /// The same, proved on what was recorded too.
+    CompileRecordedPolicy(PolicyOptions, CompileOptions, Vec<ProofCase>),
     /// A few runs of the graph.
     Rehearse {
         /// Entities of each run.
@@ -174,6 +176,20 @@ impl CompilerProcess {
         options: &CompileOptions,
     ) -> Result<CompiledPolicy, CompileError> {
         self.ask(Request::CompilePolicy(policy.clone(), *options), onnx)
+    }
+
+    /// The same; a quarter of the inputs of its proof are recorded ones.
+    ///
+    /// # Errors
+    /// As [`Self::compile_policy`].
+    pub fn compile_recorded_policy(
+        &self,
+        onnx: &[u8],
+        policy: &PolicyOptions,
+        options: &CompileOptions,
+        recorded: Vec<ProofCase>,
+    ) -> Result<CompiledPolicy, CompileError> {
+        self.ask(Request::CompileRecordedPolicy(policy.clone(), *options, recorded), onnx)
     }
 
     /// The facts of an ONNX file, whether or not it can be compiled.

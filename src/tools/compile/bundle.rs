@@ -26,8 +26,8 @@ use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate_watched};
 use sortie_methods::alma::teams::PolicyTeam;
 use sortie_plans::{
     AgentPlans, CompileError, CompileOptions, Compiled, LARGEST_DEVIATION, LEAST_AGREEMENT,
-    LEAST_OBSERVATIONS, PolicyAgreement, Quantised, QuantisedPolicy, RecordedCase, quantise,
-    quantise_policy,
+    LEAST_OBSERVATIONS, PolicyAgreement, ProofCase, Quantised, QuantisedPolicy, RecordedCase,
+    quantise, quantise_policy,
 };
 
 use super::{
@@ -231,6 +231,26 @@ pub(super) fn quantised(
     let quantised = quantise_policy(compile, &cases).map_err(failed)?;
     judge(&quantised.agreement, arguments.force)?;
     Ok(quantised)
+}
+
+/// Compiles a policy, and proves its plan on what was recorded as well.
+pub(super) fn recorded(
+    arguments: &CompileArguments,
+    onnx: &[u8],
+    options: &CompileOptions,
+    file: &Path,
+    failed: &dyn Fn(CompileError) -> Failure,
+) -> Result<(Compiled, Vec<String>), Failure> {
+    let arrays = npz::read(file)?;
+    let policy = arguments.policy.options_for(&arguments.onnx)?;
+    let facts = compiler().rehearse_policy(onnx, &policy).map_err(failed)?;
+    let recorded = RecordedInputs::of(&facts, &arrays)
+        .map_err(|reason| Failure::new(Exit::BadData, format!("{}: {reason}", file.display())))?;
+    let most = (options.inputs / 4).clamp(1, recorded.count);
+    let case = |number| ProofCase::from(recorded.case(number * recorded.count / most));
+    let cases = (0..most).map(case).collect();
+    let of = compiler().compile_recorded_policy(onnx, &policy, options, cases).map_err(failed)?;
+    Ok((of.compiled, of.remarks))
 }
 
 /// Refuses a plan that acts differently, or of which too little is known.

@@ -21,6 +21,7 @@ use crate::networks::Graphs;
 use prove::prove;
 
 pub use policy::compile_policy;
+pub(crate) use policy::compile_recorded_policy;
 #[cfg(test)]
 pub(crate) use policy::prove_policy;
 pub use prove::compare_with_files;

@@ -4,7 +4,7 @@ use sortie_bundle::sha256;
 use sortie_core::plan::{AlignedBytes, Network, Profile, Program};
 use sortie_plans::{
     Annex, Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, Distances,
-    FlatPolicy, PlanFlatPolicy, PolicyAnswer, PolicyOptions, TeamSizes, TrueNumber,
+    FlatPolicy, PlanFlatPolicy, PolicyAnswer, PolicyOptions, ProofCase, TeamSizes, TrueNumber,
     random_policy_inputs, relative_error, report,
 };
 
@@ -27,6 +27,16 @@ pub fn compile_policy(
     onnx: &[u8],
     policy: &PolicyOptions,
     options: &CompileOptions,
+) -> Result<CompiledPolicy, CompileError> {
+    compile_recorded_policy(onnx, policy, options, &[])
+}
+
+/// The same; a quarter of the proof's inputs are recorded ones.
+pub(crate) fn compile_recorded_policy(
+    onnx: &[u8],
+    policy: &PolicyOptions,
+    options: &CompileOptions,
+    recorded: &[ProofCase],
 ) -> Result<CompiledPolicy, CompileError> {
     let graph = FlatGraph::read(onnx, policy)?;
     let remarks = remarks(&graph);
@@ -59,7 +69,7 @@ pub fn compile_policy(
     let draft = AlignedBytes::copy_of(&assemble(&program, &weights, sizes, &origin)?);
     let mut plan = PlanFlatPolicy::load(draft.as_slice(), facts.clone())?;
     let mut truth = TruePolicy::open(graph)?;
-    let comparison = prove_policy(&mut plan, &mut truth, options)?;
+    let comparison = prove_policy(&mut plan, &mut truth, options, recorded)?;
     origin.max_error = comparison.max_rel_error;
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let mut bytes = assemble(&program, &weights, sizes, &origin)?;
@@ -69,11 +79,13 @@ pub fn compile_policy(
     Ok(CompiledPolicy { compiled: Compiled { bytes, report }, facts, remarks })
 }
 
-/// Compares a plan with the truth on random inputs, and refuses one that is further from it than rounding accounts for.
+/// Compares a plan with the truth, and refuses one that is further from it than rounding accounts for, on random inputs and
+/// on recorded ones.
 pub(crate) fn prove_policy(
     plan: &mut dyn FlatPolicy,
     truth: &mut TruePolicy,
     options: &CompileOptions,
+    recorded: &[ProofCase],
 ) -> Result<Comparison, CompileError> {
     let CompileOptions { inputs, seed, .. } = *options;
     let facts = plan.facts().clone();
@@ -85,11 +97,18 @@ pub(crate) fn prove_policy(
     };
     let mut states = vec![0.0; facts.state_length()];
     let inputs = facts.affordable(inputs, MOST_MULTIPLY_ADDS);
-    for (index, given) in random_policy_inputs(inputs, &facts, seed).iter().enumerate() {
+    let inputs_in_all = inputs;
+    let random = random_policy_inputs(inputs, &facts, seed);
+    for (index, inputs) in random.into_iter().enumerate() {
         if index % STEPS == 0 {
             states.fill(0.0);
         }
-        let given: Vec<&[f32]> = given.iter().map(Vec::as_slice).collect();
+        let case = recorded_at(index, inputs_in_all, recorded);
+        let case = case.cloned().unwrap_or(ProofCase { inputs, states: None });
+        if let Some(known) = &case.states {
+            states.clone_from(known);
+        }
+        let given: Vec<&[f32]> = case.inputs.iter().map(Vec::as_slice).collect();
         proof.add(plan, truth, &given, &mut states)?;
     }
     if inputs > 0 && proof.unsure == inputs {
@@ -101,6 +120,13 @@ pub(crate) fn prove_policy(
         return Err(proof.distances.error(seed));
     }
     Ok(proof.comparison)
+}
+
+/// What was recorded instead of every fourth input, evenly from the first case to the last.
+fn recorded_at(index: usize, inputs: usize, recorded: &[ProofCase]) -> Option<&ProofCase> {
+    let is_fourth = index % 4 == 3;
+    let place = (index / 4 * recorded.len()).checked_div(inputs / 4)?;
+    recorded.get(place).filter(|_| is_fourth)
 }
 
 /// What a plan's answers are beside the truth.

@@ -61,7 +61,7 @@ fn all_operators_are_recognised() {
 fn plan_and_graph_agree_on_random_and_adversarial_entities() {
     for (name, onnx, [_, _, groups, _]) in FILES {
         let plan = compiled(onnx).bytes;
-        let base = || random_entities(200, N_MAX, FEATURES, groups, 3);
+        let base = || random_entities(40, N_MAX, FEATURES, groups, 3);
         let scaled = |factor: f32| {
             let mut steps = base();
             steps.iter_mut().flat_map(|step| &mut step.rows).for_each(|value| *value *= factor);
@@ -73,7 +73,7 @@ fn plan_and_graph_agree_on_random_and_adversarial_entities() {
             steps
         };
         let families = [
-            ("random", random_entities(500, N_MAX, FEATURES, groups, 2)),
+            ("random", random_entities(200, N_MAX, FEATURES, groups, 2)),
             ("one entity", random_entities(50, 1, FEATURES, groups, 4)),
             ("nobody present", with(&|step| step.present = EntityMask::EMPTY)),
             ("all present", with(&|step| step.present = EntityMask::first(step.groups.len()))),

@@ -87,14 +87,14 @@ fn assert_agents_agree(engine: &dyn GraphEngine) {
         "agent_skip_one_layer",
     ] {
         let (onnx, plan, sizes) = agent(name);
-        assert_agreed(&judged((&plan.bytes, &onnx), engine, &observation_families(64, sizes, 3)));
+        assert_agreed(&judged((&plan.bytes, &onnx), engine, &observation_families(32, sizes, 3)));
     }
 }
 
 fn assert_team_values_agree(engine: &dyn GraphEngine) {
     for name in TEAM_VALUES {
         let (onnx, plan, sizes) = team_value(name);
-        assert_agreed(&judged((&plan.bytes, &onnx), engine, &team_query_families(64, sizes, 3)));
+        assert_agreed(&judged((&plan.bytes, &onnx), engine, &team_query_families(32, sizes, 3)));
     }
 }
 
@@ -116,7 +116,7 @@ fn a_plan_of_another_network_is_found_out() {
     let families = observation_families(64, sizes, 3);
     let compared = judged((&other.bytes, &onnx), LinkedEngines.tract(), &families);
     for random in compared.iter().flatten().filter(|family| family.name == "random") {
-        assert!(random.max_distance.is_some_and(|far| far > 1.0e3 * MOST_DISTANCE), "{random:?}");
+        assert!(random.max_distance.is_some_and(|far| far > 100.0 * MOST_DISTANCE), "{random:?}");
         assert!(!random.agrees());
     }
 }

@@ -136,7 +136,7 @@ fn the_report_names_the_unit_and_its_state() {
     assert_eq!((plan.hidden, plan.features, plan.actions), (8, 5, 4));
     let facts = inspect_onnx(&onnx).unwrap();
     assert_eq!(facts.metadata["sortie.hidden"], "8");
-    let observations = random_observations(300, 11, 5, 4, 9);
+    let observations = random_observations(100, 11, 5, 4, 9);
     let comparison = beside_truth(compiled(&onnx, None).as_slice(), &onnx, observations);
     assert!(comparison.agrees() && comparison.max_rel_error < 1e-6, "{comparison:?}");
 }

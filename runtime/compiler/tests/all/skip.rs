@@ -35,7 +35,7 @@ fn agents_agree_with_their_graphs_whatever_they_see() {
     for (name, features, actions) in [(AGENT, 6, 4), (ONE_LAYER, 7, 5), (RECURRENT, 7, 3)] {
         for (n_max, &profile) in [1, 2, 5, 11].into_iter().zip(f32_profiles().iter().cycle()) {
             let plan = compiled(name, n_max, profile);
-            let mut observations = random_observations(400, n_max, features, actions, 5);
+            let mut observations = random_observations(70, n_max, features, actions, 5);
             for observation in observations.iter_mut().step_by(7) {
                 observation.visible = EntityMask::EMPTY;
             }
@@ -49,7 +49,7 @@ fn agents_agree_with_their_graphs_whatever_they_see() {
 fn an_int8_agent_is_near_its_graph() {
     for (name, features, actions) in [(AGENT, 6, 4), (ONE_LAYER, 7, 5)] {
         let plan = compiled(name, 9, Profile::Int8);
-        let observations = random_observations(400, 9, features, actions, 5);
+        let observations = random_observations(100, 9, features, actions, 5);
         let got = beside_truth(plan.as_slice(), &golden(name), observations);
         assert!(got.max_rel_error < 0.02, "{name}: {got:?}");
     }
@@ -85,7 +85,7 @@ fn values_of_teams_agree_one_by_one_and_together() {
     let onnx = golden(TEAM_VALUE);
     let bytes = compiled(TEAM_VALUE, 9, Profile::Exact);
     let queries = random_team_queries(600, 9, 6, 3, 17);
-    let got = beside_truth(bytes.as_slice(), &onnx, queries.clone());
+    let got = beside_truth(bytes.as_slice(), &onnx, queries[..150].to_vec());
     assert!(got.agrees() && got.max_rel_error < 1e-6, "{got:?}");
     let plan = Plan::load(bytes.as_slice()).unwrap();
     let mut arena = AlignedBytes::zeroed(plan.batch_arena_bytes(4));

@@ -1,7 +1,7 @@
 //! Plans of other networks than the file's: whatever a lowering could get wrong is refused, and rounding is not.
 
 use sortie_core::plan::AlignedBytes;
-use sortie_plans::{CompileError, CompileOptions, PlanFlatPolicy, PolicyOptions};
+use sortie_plans::{CompileError, CompileOptions, PlanFlatPolicy, PolicyOptions, ProofCase};
 use tract_onnx::pb::tensor_proto::DataType::Float;
 use tract_onnx::pb::{AttributeProto, GraphProto, TensorProto};
 
@@ -70,14 +70,19 @@ type Fault = Box<dyn Fn(&mut GraphProto)>;
 
 /// Judges the plan of a network with a fault by the network without.
 fn judged(fault: impl Fn(&mut GraphProto)) -> Result<(), CompileError> {
-    let (right, mut wrong) = (network(), network());
+    let mut wrong = network();
     fault(&mut wrong.0);
-    let policy = compiled(&wrong).expect("the network with the fault is one");
+    judged_by(&network(), &wrong, &[])
+}
+
+/// Judges a network's plan by another network, on recorded inputs too.
+fn judged_by(right: &File, plan_of: &File, recorded: &[ProofCase]) -> Result<(), CompileError> {
+    let policy = compiled(plan_of).expect("a network");
     let bytes = AlignedBytes::copy_of(&policy.compiled.bytes);
     let mut plan = PlanFlatPolicy::load(bytes.as_slice(), policy.facts.clone()).expect("a plan");
     let graph = FlatGraph::read(&right.bytes(), &PolicyOptions::default()).expect("a file");
     let mut truth = TruePolicy::open(graph).expect("a truth");
-    prove_policy(&mut plan, &mut truth, &CompileOptions::default()).map(|_| ())
+    prove_policy(&mut plan, &mut truth, &CompileOptions::default(), recorded).map(|_| ())
 }
 
 fn tensor<'a>(graph: &'a mut GraphProto, name: &str) -> &'a mut TensorProto {
@@ -152,4 +157,65 @@ fn equal_rows_that_round_alike_are_no_fault() {
         .output("q");
     assert!(compiled(&file).is_ok(), "{:?}", compiled(&file).err());
     judged(|_| ()).expect("the network is its own");
+}
+
+#[test]
+fn what_only_recorded_inputs_reach_is_refused_on_these() {
+    let clipped = |limit: f32| {
+        let file = File::default()
+            .input("x", Float, &["1", "4"])
+            .constant("low", &[], &[-limit])
+            .constant("high", &[], &[limit])
+            .node("Clip", &["x", "low", "high"], "seen")
+            .constant("q.w", &[4, 2], &weights(8, 1))
+            .constant("q.b", &[2], &weights(2, 2));
+        file.node("Gemm", &["seen", "q.w", "q.b"], "q").output("q")
+    };
+    let recorded = |x: f32| ProofCase { inputs: vec![vec![x; 4]], states: None };
+    let judge = |cases: &[ProofCase]| judged_by(&clipped(5.0), &clipped(9.0), cases);
+    judge(&[]).expect("no random input reaches the limit");
+    judge(&[recorded(4.0)]).expect("nor does this one");
+    let found = judge(&[recorded(4.0), recorded(8.0)]);
+    assert!(matches!(found, Err(CompileError::Wrong { .. })), "{found:?}");
+}
+
+#[test]
+fn recorded_states_are_those_of_the_proof() {
+    // The state only counts where it is beyond what is fed back: 1 at most.
+    let kept = |limit: f32| {
+        let file = File::default()
+            .input("x", Float, &["1", "3"])
+            .input("h_in", Float, &["1", "3"])
+            .constant("low", &[], &[-limit])
+            .constant("high", &[], &[limit])
+            .node("Clip", &["h_in", "low", "high"], "kept")
+            .node("Add", &["x", "kept"], "sum")
+            .node("Tanh", &["sum"], "h_out")
+            .layer("h_out", [3, 2], "q");
+        file.output("q").output("h_out")
+    };
+    let recorded = |h: f32| ProofCase { inputs: vec![vec![0.1; 3]], states: Some(vec![h; 3]) };
+    let judge = |cases: &[ProofCase]| judged_by(&kept(1.2), &kept(1.5), cases);
+    judge(&[recorded(0.9)]).expect("no state reaches the limit");
+    let found = judge(&[recorded(1.4)]);
+    assert!(matches!(found, Err(CompileError::Wrong { .. })), "{found:?}");
+}
+
+#[test]
+fn a_narrow_normaliser_hides_no_fault() {
+    // Inputs of size 1 drive every answer to an end of its range, where nothing shows.
+    let narrow = |deviation: f32| {
+        let file = File::default()
+            .input("x", Float, &["1", "8"])
+            .constant("mean", &[8], &[3.0; 8])
+            .constant("deviation", &[8], &[deviation; 8])
+            .node("Sub", &["x", "mean"], "shifted")
+            .node("Div", &["shifted", "deviation"], "seen")
+            .constant("q.w", &[8, 3], &weights(24, 5))
+            .constant("q.b", &[3], &weights(3, 6))
+            .node("Gemm", &["seen", "q.w", "q.b"], "sum");
+        file.node("Tanh", &["sum"], "q").output("q")
+    };
+    let found = judged_by(&narrow(1.0e-3), &narrow(1.01e-3), &[]);
+    assert!(matches!(found, Err(CompileError::Wrong { .. })), "{found:?}");
 }
