@@ -130,7 +130,7 @@ impl<'m> Lowering<'m> {
 
     /// A layer on zeros and a one: what it makes of each place of the one, and of zeros alone, stands in a table.
     fn row_of_layer(&mut self, node: &TypedNode, hot: Hot, mut layer: Layer) -> Lowered<()> {
-        let absorbed = self.absorb(node, &mut layer);
+        let absorbed = self.absorb(node, &mut layer, 1);
         let Layer { matrix, bias, relu } = &layer;
         let zeros = vec![0.0; matrix.outputs];
         let rows = matrix.values.chunks(matrix.outputs.max(1)).chain([zeros.as_slice()]);

@@ -76,11 +76,11 @@ fn holds(sizes: &Sizes, [weights, bias]: [u32; 2], lens: [u64; 2]) -> bool {
     sizes.holds_weights(weights, lens[0]) && sizes.holds_weights(bias, lens[1])
 }
 
-fn parts<'w>(
-    floats: &'w [f32],
+fn parts(
+    floats: &[f32],
     [weights, bias]: [u32; 2],
     lens: [u64; 2],
-) -> Result<[&'w [f32]; 2], DecideError> {
+) -> Result<[&[f32]; 2], DecideError> {
     let [weights_len, bias_len] = lens.map(|len| usize::try_from(len).unwrap_or(usize::MAX));
     Ok([slice(floats, weights, weights_len)?, slice(floats, bias, bias_len)?])
 }
