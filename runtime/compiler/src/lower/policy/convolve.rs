@@ -80,7 +80,7 @@ impl Lowering<'_> {
     ) -> Lowered<Target> {
         let readers = &node.outputs[0].successors;
         let reader = match readers.as_slice() {
-            [reader] if !self.model.outputs.contains(&(node.id, 0).into()) => {
+            [reader] if reader.slot == 0 && !self.model.outputs.contains(&(node.id, 0).into()) => {
                 Some(self.model.node(reader.node))
             }
             _ => None,
