@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::{ALLOCATOR, AgentGraph, Bundle, MANIFEST, Manifest, TRAINING, hex};
+use sortie_core::plan::{Normaliser, RobotFacts};
 use sortie_plans::{
     CompileError, CompileOptions, CompiledPolicy, InspectedOnnx, OnnxFacts, PlanFacts, PolicyFacts,
     PolicyOptions, inspect_plan, read_onnx,
@@ -216,6 +217,9 @@ fn print_plan(facts: &PlanFacts) {
     for (name, value) in facts.policy.iter().flat_map(|policy| &policy.metadata) {
         row(name, value.clone());
     }
+    if let Some(robot) = &facts.robot {
+        row("normaliser", normaliser(robot).to_owned());
+    }
     table.print();
     say!();
     if let Some(policy) = &facts.policy {
@@ -227,6 +231,15 @@ fn print_plan(facts: &PlanFacts) {
         operators.row([operator.name.clone(), operator.detail.clone()]);
     }
     operators.print();
+}
+
+/// Whether whoever calls the policy has to normalise what it sees.
+fn normaliser(robot: &RobotFacts) -> &'static str {
+    match robot.normaliser {
+        Normaliser::Unknown => "not known",
+        Normaliser::None => "none",
+        Normaliser::File => "in the file",
+    }
 }
 
 /// What is known of a file. A policy has more keys.
@@ -242,6 +255,9 @@ struct Report<'a> {
     /// What its plan costs.
     #[serde(skip_serializing_if = "Option::is_none")]
     plan: Option<PlanCost>,
+    /// What a robot must know of it beside the numbers, as its plan has it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    robot: Option<RobotFacts>,
     #[serde(skip_serializing_if = "<[_]>::is_empty")]
     remarks: &'a [String],
 }
@@ -263,8 +279,9 @@ impl<'a> Report<'a> {
             PlanCost { flash_bytes: report.flash_bytes, arena_bytes: report.arena_bytes }
         };
         let engine = plan.map(|plan| if plan.is_ok() { "plan" } else { ENGINE });
-        let plan = plan.and_then(|plan| plan.as_ref().ok().map(cost));
-        Self { facts, policy, engine, plan, remarks: &[] }
+        let compiled = plan.and_then(|plan| plan.as_ref().ok());
+        let robot = compiled.and_then(|plan| RobotFacts::of_plan(&plan.compiled.bytes));
+        Self { facts, policy, engine, plan: compiled.map(cost), robot, remarks: &[] }
     }
 }
 
@@ -301,6 +318,9 @@ fn print_facts(facts: &OnnxFacts, policy: Option<&PolicyFacts>, plan: Plan<'_>) 
             let report = &plan.compiled.report;
             let (flash, arena) = (report.flash_bytes, report.arena_bytes);
             row("plan", format!("{flash} bytes of flash, {arena} bytes of arena"));
+            if let Some(robot) = RobotFacts::of_plan(&plan.compiled.bytes) {
+                row("normaliser", normaliser(&robot).to_owned());
+            }
         }
         Some(Err(error)) => {
             row("plan", format!("none: {error}"));

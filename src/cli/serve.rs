@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::sha256;
-use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::plan::{AlignedBytes, Plan, RobotFacts};
 use sortie_core::wire::Reason;
 use sortie_ipc::{
     Domain, Engine, Fallback, PolicySchema, PolicyServer, Port, RealTime, ServeCounters,
@@ -200,7 +200,8 @@ fn schema(plan: &Plan<'_>, bytes: &[u8]) -> Result<PolicySchema, Failure> {
     let inputs: Vec<&str> = facts.given().map(|input| input.name.as_str()).collect();
     let outputs: Vec<&str> = facts.wanted().map(|output| output.name.as_str()).collect();
     let states: Vec<&str> = facts.states.iter().map(|state| state.input.as_str()).collect();
-    Ok(schema.named(inputs, outputs, states))
+    let robot = RobotFacts::of_plan(bytes);
+    Ok(PolicySchema { robot, ..schema.named(inputs, outputs, states) })
 }
 
 /// `obs [40], state of 64 -> actions [12]`.
@@ -303,6 +304,7 @@ impl Graph {
             inputs: facts.given().map(|input| port(&input.name, input.length())).collect(),
             outputs: outputs.iter().map(|(output, width)| port(&output.name, **width)).collect(),
             states: states.collect(),
+            robot: None,
         }
     }
 }

@@ -5,7 +5,7 @@ use std::process::{Child, Stdio};
 use std::time::Duration;
 
 use serde_json::Value;
-use sortie_core::plan::{AlignedBytes, Given, Plan};
+use sortie_core::plan::{AlignedBytes, Given, Plan, RobotFacts};
 use sortie_core::wire::{AnswerStatus, Reason};
 use sortie_ipc::{ClientSettings, Domain, Expected, PolicyClient, PolicySchema};
 
@@ -92,6 +92,25 @@ fn a_team_that_has_ended_is_not_missed_while_a_policy_is_served() {
     assert_eq!(told, ["none: the last one has ended"]);
     summary(server);
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn what_a_robot_states_of_itself_is_checked() {
+    let test = TestDomain::new("robot");
+    let server = serve("tests/golden/onnx-written/mjlab_velocity.onnx", &test);
+    let expected = Expected { inputs: &[("obs", 27)], outputs: &[("actions", 6)], actions: 0 };
+    let client = connect(&test, &expected);
+    let domain = Domain::new(&test.id).expect("a domain");
+    let robot = client.schema().robot.clone().expect("facts");
+    assert_eq!(robot.joint_names[3], "knee");
+    let check = |stated: &RobotFacts| client.schema().check_robot(&domain, stated);
+    assert!(check(&robot).is_ok() && check(&RobotFacts::default()).is_ok());
+    let mut other = robot.clone();
+    other.joint_names.swap(0, 1);
+    let refused = check(&other).unwrap_err().to_string();
+    assert!(refused.contains("joint_names is hip_roll,hip_yaw"), "{refused}");
+    drop(client);
+    summary(server);
 }
 
 #[test]

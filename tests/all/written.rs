@@ -25,3 +25,21 @@ fn files_in_the_patterns_of_exporters_compile_and_agree() {
         assert_eq!(first["refusals_differ"], 0, "{onnx}: {first}");
     }
 }
+
+#[test]
+fn a_robots_facts_are_kept_in_the_plan_and_shown() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let plan = folder.path().join("robot.plan").display().to_string();
+    let onnx = format!("{FOLDER}/mjlab_velocity.onnx");
+    let compiled = output(&["compile", &onnx, "-o", &plan]);
+    assert!(compiled.status.success(), "{}", stderr(&compiled));
+    for file in [&plan, &onnx] {
+        let robot = &json(&["inspect", file, "--json"])["robot"];
+        assert_eq!(robot["joint_names"][3], "knee", "{file}: {robot}");
+        assert_eq!(robot["action_scale"][0], 0.25);
+        assert_eq!(robot["observation_names"][5], "command");
+        assert_eq!(robot["normaliser"], "file");
+    }
+    let robot = &json(&["inspect", &format!("{FOLDER}/sb3_dqn.onnx"), "--json"])["robot"];
+    assert_eq!(robot["normaliser"], "none");
+}

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize, Serializer};
 use sortie_bundle::hex;
 use sortie_core::internal::checksum::crc32c;
-use sortie_core::plan::{AlignedBytes, Header, Network, Plan};
+use sortie_core::plan::{AlignedBytes, Header, Network, Plan, RobotFacts};
 
 use crate::error::CompileError;
 use crate::policy::PolicyFacts;
@@ -86,6 +86,9 @@ pub struct PlanFacts {
     /// Names, sizes and roles of a policy's inputs and outputs; none where the plan has no annex.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub policy: Option<Annex>,
+    /// What a robot must know of its policy beside the numbers; none where the plan does not say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub robot: Option<RobotFacts>,
 }
 
 fn network_name<S: Serializer>(network: &Network, serializer: S) -> Result<S::Ok, S::Error> {
@@ -95,7 +98,7 @@ fn network_name<S: Serializer>(network: &Network, serializer: S) -> Result<S::Ok
 /// Reads the facts of a plan.
 pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
     let flash_bytes = plan.len();
-    let policy = Annex::of_plan(plan)?;
+    let (policy, robot) = (Annex::of_plan(plan)?, RobotFacts::of_plan(plan));
     let plan = AlignedBytes::copy_of(plan);
     let plan = Plan::load(plan.as_slice())?;
     let header = plan.header();
@@ -118,6 +121,7 @@ pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
         macs: operators.iter().map(|operator| operator.macs).sum(),
         operators,
         policy,
+        robot,
     })
 }
 
@@ -173,9 +177,13 @@ impl Annex {
     /// # Errors
     /// The plan has no header, or this is longer than a plan can say.
     pub fn replace_in(&self, plan: &mut Vec<u8>) -> Result<(), CompileError> {
+        let robot = RobotFacts::of_plan(plan);
         let end = weights_end(plan)?;
         plan.truncate(end);
-        self.append_to(plan)
+        self.append_to(plan)?;
+        // What stands behind the annex stays there.
+        robot.iter().for_each(|robot| robot.append_to(plan));
+        Ok(())
     }
 
     /// The annex of a plan; `None` where nothing of the kind stands behind its weights.
@@ -271,13 +279,15 @@ mod tests {
     fn another_annex_stands_in_place_of_the_first() {
         let (mut plan, first) = (plan(), annex());
         first.append_to(&mut plan).expect("short enough");
+        let robot = RobotFacts { joint_names: vec!["hip".to_owned()], ..RobotFacts::default() };
+        robot.append_to(&mut plan);
         let length = plan.len();
         let agreement = PolicyAgreement { observations: 3, outputs: Vec::new() };
         let second = Annex { agreement: Some(agreement), ..first.clone() };
         second.replace_in(&mut plan).expect("short enough");
         assert_eq!(Annex::of_plan(&plan).expect("whole"), Some(second));
         first.replace_in(&mut plan).expect("short enough");
-        assert_eq!(plan.len(), length);
+        assert_eq!((plan.len(), RobotFacts::of_plan(&plan)), (length, Some(robot)));
     }
 
     #[test]

@@ -130,7 +130,7 @@ class File:
                 (f"out__{name}", array) for name, array in answers.items()
             ]:
                 recorded.setdefault(key, []).append(array)
-        numpy.savez_compressed(path.with_suffix(".npz"), **{key: numpy.stack(arrays) for key, arrays in recorded.items()})
+        numpy.savez(path.with_suffix(".npz"), **{key: numpy.stack(arrays) for key, arrays in recorded.items()})
 
 
 def numbers(generator, shape, kind):

@@ -1,14 +1,14 @@
 //! The plan of a policy whoever exported it.
 
 use sortie_bundle::sha256;
-use sortie_core::plan::{AlignedBytes, Network, Profile, Program};
+use sortie_core::plan::{AlignedBytes, Network, Profile, Program, RobotFacts};
 use sortie_plans::{
     Annex, Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, Distances,
     FlatPolicy, PlanFlatPolicy, PolicyAnswer, PolicyOptions, ProofCase, TeamSizes, TrueNumber,
     random_policy_inputs, relative_error, report,
 };
 
-use crate::flat::{FlatGraph, remarks};
+use crate::flat::{FlatGraph, normaliser, remarks};
 use crate::graph::guarded;
 use crate::lower::{AgentSizes, Choice, LoweredPolicy, Origin, assemble, lower_policy};
 use crate::reference::TruePolicy;
@@ -44,6 +44,7 @@ pub(crate) fn compile_recorded_policy(
     let entries = graph.file.metadata_props.iter();
     let metadata = entries.map(|entry| (entry.key.clone(), entry.value.clone()));
     let annex = Annex::new(facts.clone(), metadata);
+    let robot = RobotFacts::of_metadata(&annex.metadata, normaliser(&graph));
     let team = options.team.or_else(|| TeamSizes::of_entities(&facts));
     let meanings = team.map(|team| team.meanings(&facts)).transpose()?;
     let meanings = meanings.unwrap_or_default();
@@ -74,6 +75,7 @@ pub(crate) fn compile_recorded_policy(
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let mut bytes = assemble(&program, &weights, sizes, &origin)?;
     annex.append_to(&mut bytes)?;
+    robot.append_to(&mut bytes);
     let program = program.to_bytes();
     let report = report(&Program::read(program.as_slice())?, 1, bytes.len(), &comparison);
     Ok(CompiledPolicy { compiled: Compiled { bytes, report }, facts, remarks })

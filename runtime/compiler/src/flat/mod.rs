@@ -26,6 +26,7 @@ use selection::Selection;
 use values::{Value, Values, reader};
 
 pub(crate) use facts::{Interface, other_values};
+pub(crate) use normaliser::normaliser;
 pub(crate) use remarks::remarks;
 
 /// A policy, read.

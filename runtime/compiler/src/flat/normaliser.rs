@@ -1,8 +1,10 @@
 //! Whether a network normalises what it sees by itself, and by what: numbers drawn around other means tell little of it.
 
+use sortie_core::plan::Normaliser;
 use sortie_plans::{InputRole, PolicyFacts, PolicyInput};
 use tract_onnx::pb::{GraphProto, ModelProto, NodeProto};
 
+use super::FlatGraph;
 use super::nodes::{Nodes, cut};
 use crate::graph::guarded;
 use crate::reference::{Reference, Tensor};
@@ -23,8 +25,17 @@ const CARRIERS: [&str; 12] = [
     "Clip",
 ];
 
+/// Whether a policy normalises what it sees: who does it besides, or nobody, is no error that anybody sees.
+pub(crate) fn normaliser(graph: &FlatGraph) -> Normaliser {
+    let mut inputs = graph.interface.facts.inputs.iter();
+    match inputs.any(|input| normalised(&graph.source, input).is_some()) {
+        true => Normaliser::File,
+        false => Normaliser::None,
+    }
+}
+
 /// The value that an observation is once it is normalised, where that is the first thing that happens to it.
-pub(super) fn normalised(file: &ModelProto, input: &PolicyInput) -> Option<String> {
+fn normalised(file: &ModelProto, input: &PolicyInput) -> Option<String> {
     let graph = file.graph.as_ref()?;
     let is_seen = matches!(input.role, InputRole::Observation | InputRole::Entities { .. });
     if !input.kind.is_float() || !is_seen {

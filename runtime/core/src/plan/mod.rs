@@ -16,6 +16,9 @@ mod in_place;
 mod needed;
 mod policy;
 mod program;
+mod robot;
+#[cfg(feature = "std")]
+mod robot_facts;
 #[cfg(test)]
 mod tests;
 
@@ -33,6 +36,9 @@ pub use needed::Needed;
 pub use policy::Given;
 #[doc(hidden)]
 pub use program::{OPS, Ops, Program};
+pub use robot::{Fact, Normaliser, Robot};
+#[cfg(feature = "std")]
+pub use robot_facts::RobotFacts;
 
 #[doc(hidden)]
 pub use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};

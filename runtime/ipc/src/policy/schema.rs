@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use sortie_core::identity::fnv1a;
-use sortie_core::plan::{Network, Plan};
+use sortie_core::plan::{Network, Plan, RobotFacts};
 use sortie_core::wire::{ABI, ServedFormat};
 
 use crate::domain::{Domain, nanoseconds, read_file, write_file};
@@ -27,7 +27,7 @@ pub struct Port {
 }
 
 /// What a policy takes and gives.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PolicySchema {
     /// Actions U among which it chooses; 0 where its outputs are the action.
     pub actions: usize,
@@ -38,6 +38,9 @@ pub struct PolicySchema {
     /// Recurrent states, which the server keeps.
     #[serde(default)]
     pub states: Vec<Port>,
+    /// What a robot must know of the policy beside the numbers, as far as its plan says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<RobotFacts>,
 }
 
 /// What a robot's program gives and wants: names with lengths. An empty name fits any.
@@ -71,7 +74,7 @@ impl PolicySchema {
         // A choice is made of the first output's scores.
         let scores = outputs.first().map_or(0, |output| output.length);
         let chooses = plan.chooses() && scores == plan.actions();
-        Ok(Self { actions: if chooses { scores } else { 0 }, inputs, outputs, states })
+        Ok(Self { actions: if chooses { scores } else { 0 }, inputs, outputs, states, robot: None })
     }
 
     /// The same with names, where there are as many as ports.
@@ -87,8 +90,9 @@ impl PolicySchema {
         self
     }
 
-    /// The same without names.
+    /// The same without names and whatever a plan's program does not say.
     pub(super) fn unnamed(mut self) -> Self {
+        self.robot = None;
         let ports = [&mut self.inputs, &mut self.outputs, &mut self.states];
         ports.into_iter().flatten().for_each(|port| port.name.clear());
         self
@@ -160,6 +164,15 @@ impl PolicySchema {
     /// [`Error::OtherPolicy`] with the first difference.
     pub fn check(&self, domain: &Domain, expected: &Expected<'_>) -> Result<(), Error> {
         self.difference(expected).map_or(Ok(()), |detail| Err(other(domain, detail)))
+    }
+
+    /// Checks what a robot's program states of its robot: joints, gains and whatever else the plan knows too.
+    ///
+    /// # Errors
+    /// [`Error::OtherPolicy`] with the first contradiction.
+    pub fn check_robot(&self, domain: &Domain, stated: &RobotFacts) -> Result<(), Error> {
+        let found = self.robot.as_ref().and_then(|robot| robot.contradiction(stated));
+        found.map_or(Ok(()), |detail| Err(other(domain, detail)))
     }
 
     /// The first difference from what somebody expects.
