@@ -18,7 +18,7 @@ use super::patches::{self, AddRuns, FloatTiles, Fold, PatchLayer, Runs};
 use super::product::{self, Around, Sparse};
 use super::rows::Rows;
 use super::several::{self, AddRows, PART, Pair, Strip};
-use super::softmax;
+use super::softmax::{self, Scores};
 use super::work::Work;
 use super::{Heads, Kernels};
 
@@ -184,6 +184,11 @@ macro_rules! build {
             #[inline]
             fn attend(self, groups: &mut [Heads<'_>], soon: &[f32]) -> bool {
                 unsafe { $heads::attend::<A>(groups, soon) }
+            }
+
+            #[inline]
+            fn softmaxes(self, several: &mut [Scores<'_>]) {
+                unsafe { $heads::softmaxes(several) }
             }
             )?
         }
