@@ -46,7 +46,7 @@ impl Interface {
         schema: &PolicySchema,
     ) -> Self {
         let lengths = |ports: &[Port]| ports.iter().map(|port| port.length).collect::<Vec<_>>();
-        let PolicySchema { actions, inputs: given, outputs: wanted, states } = schema;
+        let PolicySchema { actions, inputs: given, outputs: wanted, states, .. } = schema;
         let mut facts = plain(*actions, &lengths(given), &lengths(wanted), &lengths(states));
         let places = facts.inputs.iter_mut().map(|input| &mut input.name);
         let places = places.chain(facts.outputs.iter_mut().map(|output| &mut output.name));
