@@ -346,6 +346,7 @@ mod tests {
             inputs: vec![port("joints", 12), port("", 3)],
             outputs: vec![port("torques", 12)],
             states: vec![port("h", 64)],
+            robot: None,
         }
     }
 
