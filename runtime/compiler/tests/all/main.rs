@@ -7,6 +7,7 @@ mod judges;
 mod laws;
 mod proposals;
 mod recurrent;
+mod shipped;
 mod skip;
 mod support;
 mod team_value;
