@@ -18,7 +18,7 @@ use crate::limits;
 pub const EXACT_AGENTS: usize = exact::AGENTS;
 
 /// Teams whose values are asked for in one call.
-const TOGETHER: usize = 16;
+const TOGETHER: usize = 32;
 
 /// Sweeps of the coordinate ascent; few are needed until no agent moves.
 const SWEEPS: usize = 8;

@@ -42,6 +42,7 @@ use mark::Marks;
 use product::{Around, Sparse};
 use rows::Rows;
 use several::{AddRows, PART, Pair, Strip};
+use softmax::Scores;
 
 /// Heads that are attended to together where a build can.
 pub const HEADS: usize = 4;
@@ -91,6 +92,13 @@ pub trait Kernels: Copy + Int8Kernels {
 
     /// Scores become weights ([`softmax::softmax`]).
     fn softmax(self, scores: &mut [f32], count: usize) -> bool;
+
+    /// As [`Self::softmax`] for several queries.
+    fn softmaxes(self, several: &mut [Scores<'_>]) {
+        for one in several {
+            one.finite = self.softmax(one.scores, one.count);
+        }
+    }
 
     /// The weighted sum of rows ([`product::mix`]).
     fn mix(self, weights: &[f32], rows: Rows<'_>, sums: &mut [f32]);

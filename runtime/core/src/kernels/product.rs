@@ -114,6 +114,9 @@ pub fn mix<A: Arithmetic>(weights: &[f32], rows: Rows<'_>, sums: &mut [f32]) {
     while let Some(sums) = sums.split_off_mut(..32) {
         mix_columns::<A, 32>(weights, rows, &mut first, sums);
     }
+    while let Some(sums) = sums.split_off_mut(..16) {
+        mix_columns::<A, 16>(weights, rows, &mut first, sums);
+    }
     while let Some(sums) = sums.split_off_mut(..8) {
         mix_columns::<A, 8>(weights, rows, &mut first, sums);
     }

@@ -11,6 +11,17 @@ pub const fn slots(count: usize) -> usize {
     count.div_ceil(LANES) * LANES
 }
 
+/// Scores of one query among several.
+#[derive(Debug)]
+pub struct Scores<'a> {
+    /// The scores, whole vectors.
+    pub scores: &'a mut [f32],
+    /// How many there are.
+    pub count: usize,
+    /// Whether all are finite, which is found out.
+    pub finite: bool,
+}
+
 /// Turns the first `count` scores into weights that add up to one, and what stands behind them into zeros.
 /// Returns false where a score is not finite. `largest_of` is [`largest`], in whichever order.
 #[inline(always)]

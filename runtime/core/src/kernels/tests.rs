@@ -8,7 +8,7 @@ use super::build::{Build, Work};
 use super::product::Around;
 use super::rows::Rows;
 use super::several::Pair;
-use super::softmax::slots;
+use super::softmax::{Scores, slots};
 use super::{ATTENDED_WIDTH, HEADS, Heads, Kernels};
 
 /// Any numbers of both signs.
@@ -129,6 +129,47 @@ fn several_heads_attend_as_each_does() {
         check_attention::<Exact>(build);
         if build.fuses() {
             check_attention::<Fused>(build);
+        }
+    }
+}
+
+/// Scores of several queries, some of more than a vector, some not finite: weights and what is said of them.
+struct Weighing;
+
+impl Work for Weighing {
+    type Output = [Vec<(Vec<u32>, bool)>; 2];
+
+    fn run(self, kernels: impl Kernels) -> Self::Output {
+        let counts = [1, 16, 7, 0, 2, 33, 16, 5, 11];
+        let mut alone: Vec<Vec<f32>> =
+            (5..).zip(counts).map(|(seed, count)| numbers(slots(count), seed)).collect();
+        alone[1][15] = f32::INFINITY;
+        alone[2][7] = f32::NAN;
+        alone[4][0] = f32::NAN;
+        let mut together = alone.clone();
+        let weigh = |(scores, count): (&mut Vec<f32>, usize)| {
+            let finite = kernels.softmax(scores, count);
+            (bits(scores), finite)
+        };
+        let alone = alone.iter_mut().zip(counts).map(weigh).collect();
+        let scores = together.iter_mut().zip(counts);
+        let scores = scores.map(|(scores, count)| Scores { scores, count, finite: true });
+        let mut several: Vec<Scores<'_>> = scores.collect();
+        kernels.softmaxes(&mut several);
+        let together = several.iter().map(|one| (bits(one.scores), one.finite)).collect();
+        [alone, together]
+    }
+}
+
+#[test]
+fn several_scores_are_weighed_as_each_is() {
+    for build in Build::all() {
+        let [alone, together] = build.run::<Exact, _>(Weighing);
+        // What is not finite has no weights.
+        for (at, (alone, together)) in alone.iter().zip(&together).enumerate() {
+            assert_eq!(alone.1, together.1, "{build:?}, {at}");
+            assert!(!alone.1 || alone.0 == together.0, "{build:?}, {at}");
+            assert_eq!(alone.1, ![1, 4].contains(&at), "{build:?}, {at}");
         }
     }
 }

@@ -16,7 +16,7 @@ use super::mark::Marks;
 use super::product::{self, Around, Sparse};
 use super::rows::Rows;
 use super::several::{self, AddRows, PART, Pair, Strip};
-use super::softmax;
+use super::softmax::{self, Scores};
 use super::work::Work;
 use super::{Heads, Kernels};
 
@@ -172,6 +172,11 @@ macro_rules! build {
             #[inline]
             fn attend(self, groups: &mut [Heads<'_>], soon: &[f32]) -> bool {
                 unsafe { $heads::attend::<A>(groups, soon) }
+            }
+
+            #[inline]
+            fn softmaxes(self, several: &mut [Scores<'_>]) {
+                unsafe { $heads::softmaxes(several) }
             }
             )?
         }

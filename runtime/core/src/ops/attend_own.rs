@@ -150,7 +150,14 @@ impl Operator for AttendOwn {
         let (width, absorbed) = (usize::from(self.width), &self.absorbed);
         let step = padded(self.head_width());
         let (matrix, around) = (self.query.matrix(weights)?, self.query.around(weights, false)?);
-        kernels.products(matrix, &mut team.own_rows(width, &self.query_place, asks), around);
+        let mut pairs = team.own_rows(width, &self.query_place, asks);
+        // Rows come out of a ReLU; few outputs wait for their additions where each member has its own.
+        if self.query.padded_outputs() >= 2 * TILE {
+            kernels.sparse_products(matrix, &mut pairs, around);
+        } else {
+            kernels.products(matrix, &mut pairs, around);
+        }
+        drop(pairs);
         for head in 0..usize::from(self.heads) {
             let query = self.query_place.part(self.head(head));
             let matrix = self.keys(weights, head)?;

@@ -1,5 +1,7 @@
 //! Attention of one query over several selections of rows.
 
+use heapless::Vec;
+
 use super::attend_own::AttendOwn;
 use super::place;
 use super::team::{Member, Pairs, TEAM, Team};
@@ -7,7 +9,7 @@ use crate::kernels::Kernels;
 use crate::kernels::product::{Around, padded};
 use crate::kernels::rows::Rows;
 use crate::kernels::several::Pair;
-use crate::kernels::softmax::slots;
+use crate::kernels::softmax::{Scores, slots};
 use crate::policy::DecideError;
 
 /// What all members share: scores `[heads, rows]`, values `[heads, rows, h]`, each row padded.
@@ -128,20 +130,24 @@ impl AttendOwn {
         let [scores, output] = [&self.places()[3], &output].map(|place| team.own_place(place));
         let Team { own, own_floats, members, shared, .. } = team;
         let Shared { scores: all_scores, values } = self.shared(shared, head)?;
-        for (member, floats) in members.iter_mut().zip(own.chunks_exact_mut((*own_floats).max(1))) {
+        let mut asked: Vec<Scores<'_>, TEAM> = Vec::new();
+        let mut outputs: Vec<&mut [f32], TEAM> = Vec::new();
+        for (member, floats) in members.iter().zip(own.chunks_exact_mut((*own_floats).max(1))) {
             let [scores, output] = super::places(floats, [&scores, &output])?;
             let count = member.slots.len();
-            if count == 0 {
-                output.fill(0.0);
-                continue;
+            let scores = scores.get_mut(..slots(count)).ok_or(DecideError::BadLength)?;
+            for (score, slot) in scores.iter_mut().zip(&member.slots) {
+                *score = *all_scores.get(usize::from(*slot)).ok_or(DecideError::BadLength)?;
             }
-            let weights = scores.get_mut(..slots(count)).ok_or(DecideError::BadLength)?;
-            for (weight, slot) in weights.iter_mut().zip(&member.slots) {
-                *weight = *all_scores.get(usize::from(*slot)).ok_or(DecideError::BadLength)?;
-            }
-            member.alone |= !kernels.softmax(weights, count);
+            // There is room for every member.
+            let _ = asked.push(Scores { scores, count, finite: true });
+            let _ = outputs.push(output);
+        }
+        kernels.softmaxes(&mut asked);
+        for ((member, weights), output) in members.iter_mut().zip(asked).zip(outputs) {
+            member.alone |= !weights.finite;
             let rows = Rows { slots: &member.slots, ..Rows::first(values, step, 0) };
-            kernels.mix(weights, rows, output);
+            kernels.mix(weights.scores, rows, output);
         }
         Ok(())
     }

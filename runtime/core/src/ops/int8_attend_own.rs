@@ -1,5 +1,6 @@
 //! Multi-head attention of the agent's own query, with int8 weights.
 
+use heapless::Vec;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::int8_layer::{
@@ -16,7 +17,7 @@ use crate::kernels::int8::{
 };
 use crate::kernels::product::padded;
 use crate::kernels::rows::first_slots;
-use crate::kernels::softmax::slots;
+use crate::kernels::softmax::{Scores, slots};
 use crate::policy::{DecideError, Observation};
 
 /// As [`super::AttendOwn`]: queries, absorbed keys, values and output are int8 products. Rows are integers, which absorbed keys
@@ -238,23 +239,50 @@ impl Int8AttendOwn {
         rows: IntegerRows<'_>,
         [absorbed, scores, quantised]: [&mut [f32]; 3],
     ) -> Result<f32, DecideError> {
+        let visible = rows.slots.len();
+        if visible > 1 {
+            self.score(kernels, rows, [absorbed, scores, quantised])?;
+            let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
+            if !kernels.softmax(scores, visible) {
+                return Err(DecideError::NonFinite);
+            }
+        }
+        self.mix(kernels, rows, [absorbed, scores, quantised])
+    }
+
+    /// The scores of rows by one head's u.
+    #[inline(always)]
+    fn score(
+        &self,
+        kernels: impl Kernels,
+        rows: IntegerRows<'_>,
+        [absorbed, scores, quantised]: [&mut [f32]; 3],
+    ) -> Result<(), DecideError> {
+        let (width, most) = (usize::from(self.width), row_max(rows.width));
+        let u = absorbed.get(..width).ok_or(DecideError::BadLength)?;
+        let vector = integers(quantised, width)?;
+        let scale = kernels.quantise(u, Reach { least: 0.0, most }, vector);
+        let Scale { step, .. } = scale.ok_or(DecideError::NonFinite)?;
+        kernels.int8_dots(vector, step, rows, scores);
+        Ok(())
+    }
+
+    /// Mixes rows by their weights, and leaves z among the quantised. Returns what an integer of z counts.
+    #[inline(always)]
+    fn mix(
+        &self,
+        kernels: impl Kernels,
+        rows: IntegerRows<'_>,
+        [absorbed, scores, quantised]: [&mut [f32]; 3],
+    ) -> Result<f32, DecideError> {
         let (width, visible) = (usize::from(self.width), rows.slots.len());
-        let (most, bad) = (row_max(rows.width), DecideError::NonFinite);
         if let [slot] = rows.slots {
             // The weight of a single entity is one, whatever its score.
             let (row, step) = rows.row(*slot);
             copy(row, integers(quantised, width)?);
             return Ok(step);
         }
-        let u = absorbed.get(..width).ok_or(DecideError::BadLength)?;
-        let vector = integers(quantised, width)?;
-        let Scale { step, .. } =
-            kernels.quantise(u, Reach { least: 0.0, most }, vector).ok_or(bad)?;
-        let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
-        kernels.int8_dots(vector, step, rows, scores);
-        if !kernels.softmax(scores, visible) {
-            return Err(bad);
-        }
+        let bad = DecideError::NonFinite;
         for (weight, slot) in scores.iter_mut().zip(rows.slots) {
             *weight *= rows.row(*slot).1;
         }
@@ -297,17 +325,37 @@ impl Int8AttendOwn {
         let [_, _, absorbed, scores, attended, quantised] = self.places();
         let wanted = [absorbed, scores, attended, quantised].map(|place| team.own_place(&place));
         let Team { rows: floats, own, own_floats, members, .. } = team;
-        let mut steps = [0.0; TEAM];
-        let members = members.iter_mut().zip(own.chunks_exact_mut((*own_floats).max(1)));
-        for ((member, own), step) in members.zip(&mut steps) {
+        let mut asked: Vec<Scores<'_>, TEAM> = Vec::new();
+        for (member, own) in members.iter_mut().zip(own.chunks_exact_mut((*own_floats).max(1))) {
             let [absorbed, scores, attended, quantised] = places(own, wanted.each_ref())?;
-            if member.slots.is_empty() {
+            let mut count = member.slots.len();
+            if count == 0 {
                 let heads = attended.get_mut(..self.query.outputs.into());
                 heads.ok_or(DecideError::BadLength)?.fill(0.0);
+            }
+            if count > 1 {
+                let rows = rows(floats, self.width.into(), &member.slots)?;
+                member.alone |= self.score(kernels, rows, [absorbed, scores, quantised]).is_err();
+            } else {
+                count = 0;
+            }
+            let scores = scores.get_mut(..slots(count)).ok_or(DecideError::BadLength)?;
+            // There is room for every member.
+            let _ = asked.push(Scores { scores, count, finite: true });
+        }
+        kernels.softmaxes(&mut asked);
+        for (member, scores) in members.iter_mut().zip(asked) {
+            member.alone |= !scores.finite;
+        }
+        let mut steps = [0.0; TEAM];
+        let own = own.chunks_exact_mut((*own_floats).max(1));
+        for ((member, own), step) in members.iter_mut().zip(own).zip(&mut steps) {
+            if member.alone || member.slots.is_empty() {
                 continue;
             }
+            let [absorbed, scores, _, quantised] = places(own, wanted.each_ref())?;
             let rows = rows(floats, self.width.into(), &member.slots)?;
-            match self.attend(kernels, rows, [absorbed, scores, quantised]) {
+            match self.mix(kernels, rows, [absorbed, scores, quantised]) {
                 Ok(of_member) => *step = of_member,
                 Err(_) => member.alone = true,
             }

@@ -9,11 +9,12 @@ use core::arch::x86_64::{
 
 use zerocopy::transmute;
 
-use super::wider::{NOT_FINITE, join, lanes_of, load, multiply_add};
+use super::wider::{NOT_FINITE, join, lanes_of, largest, load, multiply_add};
 use crate::kernels::arithmetic::Arithmetic;
 use crate::kernels::dot::{LANES, ROWS};
 use crate::kernels::product::TILE;
 use crate::kernels::rows::Rows;
+use crate::kernels::softmax::{self, Scores};
 use crate::kernels::{ATTENDED_WIDTH, HEADS, Heads};
 use crate::math::exp;
 
@@ -42,14 +43,45 @@ pub(super) fn attend<A: Arithmetic>(groups: &mut [Heads<'_>], soon: &[f32]) -> b
         }
         for (group, scores) in groups.iter().zip(&mut scores) {
             let count = group.keys.slots.len().min(ATTENDED);
-            let exist = (u32::from(u16::MAX) >> (ATTENDED - count)) as u16;
-            finite &= softmax(scores, exist, &mut soon);
+            finite &= softmax(scores, [exist(count); HEADS], &mut soon) == [0; HEADS];
         }
         for (group, scores) in groups.iter_mut().zip(scores) {
             mix_all::<A>(group, scores, &mut soon);
         }
     }
     finite
+}
+
+/// See [`crate::kernels::Kernels::softmaxes`]: of scores that fit into a vector four at a time.
+// Inlined into a whole decision, its vectors do not stay in registers.
+#[inline(never)]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+pub(super) fn softmaxes(several: &mut [Scores<'_>]) {
+    for four in several.chunks_mut(HEADS) {
+        let mut vectors = [_mm512_setzero_ps(); HEADS];
+        let mut exists = [0; HEADS];
+        for (one, (vector, exists)) in four.iter_mut().zip(vectors.iter_mut().zip(&mut exists)) {
+            match <&[f32; LANES]>::try_from(&*one.scores) {
+                Ok(scores) => (*vector, *exists) = (load(scores), exist(one.count)),
+                Err(_) => {
+                    one.finite = softmax::softmax(one.scores, one.count, |lanes| largest(lanes))
+                }
+            }
+        }
+        let not_finite = softmax(&mut vectors, exists, &mut Soon(&[]));
+        for (one, (vector, not_finite)) in four.iter_mut().zip(vectors.iter().zip(not_finite)) {
+            if let Ok(scores) = <&mut [f32; LANES]>::try_from(&mut *one.scores) {
+                *scores = transmute!(*vector);
+                one.finite = not_finite == 0;
+            }
+        }
+    }
+}
+
+/// A bit for each of so many scores of a vector.
+#[inline(always)]
+fn exist(count: usize) -> u16 {
+    (u32::from(u16::MAX) >> ATTENDED.saturating_sub(count)) as u16
 }
 
 /// The scores of a group's heads, a vector each.
@@ -158,15 +190,17 @@ fn dots<A: Arithmetic>(
     sums
 }
 
-/// See [`crate::kernels::softmax::softmax`]; `exist` has a bit for every score.
+/// See [`crate::kernels::softmax::softmax`]; `exist` has a bit for every score, the result for every one that is not finite.
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-fn softmax(scores: &mut [__m512; HEADS], exist: u16, soon: &mut Soon<'_>) -> bool {
-    let mut not_finite = 0;
-    for scores in scores.iter_mut() {
+fn softmax(scores: &mut [__m512; HEADS], exist: [u16; HEADS], soon: &mut Soon<'_>) -> [u16; HEADS] {
+    let mut not_finite = [0; HEADS];
+    for (scores, (exist, not_finite)) in
+        scores.iter_mut().zip(exist.into_iter().zip(&mut not_finite))
+    {
         soon.fetch::<16>();
         *scores = _mm512_mask_blend_ps(exist, _mm512_set1_ps(f32::MIN), *scores);
-        not_finite |= _mm512_fpclass_ps_mask::<{ NOT_FINITE }>(*scores);
+        *not_finite = _mm512_fpclass_ps_mask::<{ NOT_FINITE }>(*scores);
         let largest = _mm512_set1_ps(_mm512_reduce_max_ps(*scores));
         let mut lanes: [f32; LANES] = transmute!(_mm512_sub_ps(*scores, largest));
         for lane in &mut lanes {
@@ -178,7 +212,7 @@ fn softmax(scores: &mut [__m512; HEADS], exist: u16, soon: &mut Soon<'_>) -> boo
     for (scores, sum) in scores.iter_mut().zip(sums) {
         *scores = _mm512_mul_ps(*scores, _mm512_set1_ps(1.0 / sum));
     }
-    not_finite == 0
+    not_finite
 }
 
 /// Writes the weighted sums of some columns, the first of which is `first`, over those of the heads.
