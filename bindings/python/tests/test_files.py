@@ -217,7 +217,7 @@ def crc32c(text):
 def renamed(plan, edit):
     """The plan with other names, sizes and roles behind it."""
     end = plan.index(b"SORTIEAX")
-    annex = json.loads(plan[end + 16 :])
+    annex = json.loads(plan[end + 16 : plan.index(b"SORTIERO")])
     edit(annex["facts"])
     text = json.dumps(annex).encode()
     return plan[: end + 8] + struct.pack("<II", len(text), crc32c(text)) + text
@@ -253,4 +253,4 @@ def test_names_that_are_another_plans_are_refused(edit, tmp_path):
     with pytest.raises(sortie.PlanError, match="the names behind the plan cannot be read: they are another plan's"):
         sortie.Plan(renamed(plan, edit))
     with pytest.raises(sortie.PlanError, match="it is cut off or changed"):
-        sortie.Plan(plan[:-3])
+        sortie.Plan(plan[: plan.index(b"SORTIERO") - 3])
