@@ -25,6 +25,9 @@ use sortie_plans::{
     PolicyOptions, agreement, read_onnx,
 };
 
+/// What the reference evaluator is called in reports.
+const DOUBLE: &str = "double precision";
+
 /// Compare plans with tract, with onnxruntime and with a bundle's golden observations and allocations
 ///
 /// Inputs are random ones of all mask patterns, and families that tend to break engines: nothing or everything

@@ -310,7 +310,7 @@ fn what_may_never_end_is_not_read() {
         let refused = output(&[verb, &["/dev/zero"]].concat());
         assert_fails(&refused, 65, &["/dev/zero", "is a device"]);
     }
-    let npz = ["verify", "models/save-the-city/agent.onnx", "--npz", "/dev/zero"];
+    let npz = ["verify", "tests/golden/onnx-producers/rsl_rl_gru.onnx", "--npz", "/dev/zero"];
     assert_fails(&output(&npz), 65, &["/dev/zero", "is a device"]);
 }
 

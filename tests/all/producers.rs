@@ -173,7 +173,7 @@ fn weights_in_a_file_beside_it_belong_to_a_policy() {
         assert_fails(&verb, 66, &["rsl_rl_mlp.onnx.data", "same folder"]);
     }
     fs::write(&data, b"short").expect("a file");
-    assert_fails(&compile(), 74, &["rsl_rl_mlp.onnx.data", "fewer bytes"]);
+    assert_fails(&compile(), 65, &["rsl_rl_mlp.onnx.data", "fewer bytes"]);
     fs::copy(path("rsl_rl_mlp", "onnx.data"), &data).expect("a copy");
     assert!(compile().status.success());
     assert!(Path::new(&plan).exists());

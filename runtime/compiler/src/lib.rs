@@ -26,4 +26,4 @@ pub use compile::{
     compare_with_files, compile, compile_policy, compile_proposals, compile_rounded,
 };
 pub use linked::{InProcess, LinkedEngines};
-pub use networks::{GraphPolicy, GraphTeamValue};
+pub use networks::{BatchedAgents, BatchedTeamValues, GraphPolicy, GraphTeamValue};

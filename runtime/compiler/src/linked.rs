@@ -20,13 +20,10 @@ use crate::engine::Engine;
 use crate::flat::FlatGraph;
 use crate::graph::Graph;
 use crate::networks::{
-    GraphFlatPolicy, GraphNetwork, GraphPolicy, GraphTeamValue, Graphs, ProposalGraphs, Tract,
-    TrueNetwork,
+    BatchedAgents, BatchedTeamValues, GraphFlatPolicy, GraphNetwork, GraphPolicy, GraphTeamValue,
+    Graphs, ProposalGraphs, Tract, TrueNetwork, TruePolicy,
 };
-use crate::onnxruntime::{
-    BatchedAgents, BatchedTeamValues, OnnxRuntime, SessionEngine, find_library,
-};
-use crate::reference::TruePolicy;
+use crate::onnxruntime::{OnnxRuntime, SessionEngine, find_library};
 
 /// tract's version, as the lock file pins it.
 const TRACT_VERSION: &str = "0.23.9";

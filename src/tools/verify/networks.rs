@@ -12,7 +12,7 @@ use sortie_plans::{
     plan_answers, random_allocation_states, random_entities, team_query_families,
 };
 
-use super::recorded::DOUBLE;
+use super::DOUBLE;
 use super::{Compared, Judges, VerifyArguments, unproved, within};
 
 /// Multiply-adds of all inputs together, which the reference evaluator does nine times over in some seconds.

@@ -15,16 +15,13 @@ use sortie_plans::{
 };
 
 use super::networks::known;
-use super::{Compared, Judges, Report, VerifyArguments, within};
+use super::{Compared, DOUBLE, Judges, Report, VerifyArguments, within};
 
 /// Steps that recurrent policies take with their states fed back.
 const STEPS: usize = 100;
 
 /// Random inputs after which they begin without memory again.
 const FED_BACK: usize = 16;
-
-/// What the reference evaluator is called in reports.
-pub(super) const DOUBLE: &str = "double precision";
 
 /// Multiply-adds of all inputs together, which the reference evaluator does nine times over in some seconds.
 const MOST_MULTIPLY_ADDS: u64 = 1_000_000_000;

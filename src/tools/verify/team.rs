@@ -13,8 +13,8 @@ use sortie_plans::{
 };
 
 use super::networks::{MOST_MULTIPLY_ADDS, known};
-use super::recorded::{self, DOUBLE};
 use super::{Compared, Judges, VerifyArguments, unproved, within};
+use super::{DOUBLE, recorded};
 
 /// The plans that act for a bundle's agents before their judges. Which network an agent of options asks depends on what
 /// others answer: each of its networks is judged by itself.

@@ -4,8 +4,7 @@ use sortie_cli::failure::{Failure, Outcome};
 use sortie_cli::output::{Table, say, tell};
 use sortie_plans::{GOLDEN_FAMILY, LEAST_AGREEMENT, MOST_DISTANCE, RECORDED, TOLERANCE};
 
-use super::recorded::DOUBLE;
-use super::{Compared, Report};
+use super::{Compared, DOUBLE, Report};
 
 pub(super) fn print(report: &Report) {
     let first = if report.is_policy { "  output" } else { "  family" };
@@ -18,7 +17,7 @@ pub(super) fn print(report: &Report) {
             "rounding",
             "other",
             "refused",
-            "one-sided",
+            "one",
             "swallowed",
         ]);
         for family in &engine.families {
@@ -50,7 +49,7 @@ const NOTE: &str = "\
 error: the largest relative one; other: another action or allocation
 *: shown, not judged
 refused: the plan returns an error, and the other engine's numbers are not
-finite or no action is available; one-sided: only one of them answered
+finite or no action is available; one: only one of them answered
 swallowed: refused, where the other engine made a number of NaN or infinity";
 
 /// Other actions in real situations count: golden and recorded ones. Elsewhere only one engine's refusal does, and

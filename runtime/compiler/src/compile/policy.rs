@@ -11,7 +11,7 @@ use sortie_plans::{
 use crate::flat::{FlatGraph, normaliser, remarks};
 use crate::graph::guarded;
 use crate::lower::{AgentSizes, Choice, LoweredPolicy, Origin, assemble, lower_policy};
-use crate::reference::TruePolicy;
+use crate::networks::TruePolicy;
 
 /// Multiply-adds of all inputs of a proof together, which the reference evaluator does nine times over in a second.
 const MOST_MULTIPLY_ADDS: u64 = 50_000_000;

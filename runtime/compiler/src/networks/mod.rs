@@ -2,10 +2,12 @@
 //! become, and what comes of the outputs.
 
 mod agent;
+mod batched;
 mod entities;
 mod policy;
 mod proposals;
 mod team_value;
+mod true_policy;
 mod truth;
 
 use prost::Message;
@@ -20,11 +22,13 @@ use crate::onnxruntime::{OnnxRuntime, SessionEngine};
 
 pub use agent::GraphPolicy;
 pub(crate) use agent::{AgentColumns, AgentGraph};
+pub use batched::{BatchedAgents, BatchedTeamValues};
 pub(crate) use entities::EntityGraph;
 pub(crate) use policy::GraphFlatPolicy;
 pub(crate) use proposals::ProposalGraphs;
 pub use team_value::GraphTeamValue;
 pub(crate) use team_value::{TeamGraph, feature_rows};
+pub(crate) use true_policy::TruePolicy;
 pub(crate) use truth::TrueNetwork;
 
 /// An engine that graphs can be opened in.

@@ -3,7 +3,6 @@
 //! Nothing is linked: the library of the PyPI wheel `onnxruntime` is opened at run time, once in a process.
 //! Sessions run on one thread, with all of onnxruntime's optimisations.
 
-mod batched;
 mod batched_graph;
 mod session;
 
@@ -17,7 +16,6 @@ use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use sortie_plans::{CompileError, OnnxRuntimeError};
 
-pub use batched::{BatchedAgents, BatchedTeamValues};
 pub use batched_graph::{batched_agents_onnx, batched_team_values_onnx};
 pub(crate) use session::SessionEngine;
 

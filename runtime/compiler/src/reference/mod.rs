@@ -9,7 +9,6 @@ mod elementwise;
 mod gathers;
 mod moves;
 mod noise;
-mod policy;
 mod products;
 mod quantised;
 mod recurrent;
@@ -23,7 +22,6 @@ use std::rc::Rc;
 use tract_onnx::pb::{AttributeProto, GraphProto, ModelProto, NodeProto};
 
 pub(crate) use noise::Noise;
-pub(crate) use policy::TruePolicy;
 pub(crate) use tensor::Tensor;
 use tensor::{Failure, count};
 pub(crate) use truth::{RUNS, Runs, truth};

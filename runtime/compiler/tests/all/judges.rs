@@ -123,10 +123,8 @@ fn a_plan_of_another_network_is_found_out() {
 
 mod onnxruntime {
     use sortie_bundle::OwnedObservation;
-    use sortie_compiler::GraphPolicy;
-    use sortie_compiler::onnxruntime::{
-        BatchedAgents, BatchedTeamValues, OnnxRuntime, find_library,
-    };
+    use sortie_compiler::onnxruntime::{OnnxRuntime, find_library};
+    use sortie_compiler::{BatchedAgents, BatchedTeamValues, GraphPolicy};
     use sortie_core::Policy;
     use sortie_core::allocate::{TeamQuery, TeamValueNetwork};
     use sortie_plans::{BatchedUtilities, BatchedValues, OwnedTeamQuery};

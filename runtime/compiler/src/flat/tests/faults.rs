@@ -9,7 +9,7 @@ use super::files::File;
 use super::plans::{compiled, float, number};
 use crate::compile::prove_policy;
 use crate::flat::FlatGraph;
-use crate::reference::TruePolicy;
+use crate::networks::TruePolicy;
 
 /// Weights around zero, other ones for every seed.
 fn weights(count: usize, seed: u64) -> Vec<f32> {

@@ -7,16 +7,8 @@ use tract_onnx::tract_core::ops::change_axes::AxisOp;
 use tract_onnx::tract_core::ops::downsample::Downsample;
 use tract_onnx::tract_hir::internal::DimLike;
 
-use super::values::{Value, numbers};
+use super::values::{Dimension, Value, numbers};
 use super::{Lowered, Lowering};
-
-/// One dimension of a copy: numbers along it, and the steps in the source and in the result.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Dimension {
-    pub(super) size: usize,
-    pub(super) from: usize,
-    pub(super) to: usize,
-}
 
 /// The steps between neighbours along every axis.
 pub(super) fn strides(shape: &[usize]) -> Vec<usize> {

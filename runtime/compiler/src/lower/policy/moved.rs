@@ -8,7 +8,8 @@ use sortie_core::internal::ops::Place;
 use tract_onnx::prelude::*;
 use tract_onnx::tract_hir::internal::*;
 
-use super::arrange::{Dimension, strides};
+use super::arrange::strides;
+use super::values::Dimension;
 use super::{Lowered, Lowering};
 use crate::graph::guarded;
 

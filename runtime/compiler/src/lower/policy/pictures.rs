@@ -7,7 +7,7 @@ use tract_onnx::tract_core::ops::cast::Cast;
 use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;
 use tract_onnx::tract_core::ops::logic::Iff;
 
-use super::arrange::Dimension;
+use super::values::Dimension;
 use super::{Lowered, Lowering};
 use crate::matching::Matrix;
 

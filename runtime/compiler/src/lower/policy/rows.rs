@@ -8,7 +8,8 @@ use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::array::{CumSum, Topk};
 use tract_onnx::tract_core::ops::nn::{self, Reducer, SoftmaxKind};
 
-use super::arrange::{Dimension, strides};
+use super::arrange::strides;
+use super::values::Dimension;
 use super::values::{Value, numbers};
 use super::{Lowered, Lowering};
 

@@ -4,8 +4,8 @@ use sortie_core::internal::ops::{Patches, Place};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::cnn::PoolSpec;
 
-use super::arrange::Dimension;
 use super::pictures::Picture;
+use super::values::Dimension;
 use super::{Lowered, Lowering};
 
 /// Patches of pictures, each number down and to the right.

@@ -2,11 +2,11 @@
 
 use sortie_plans::{CompileError, OutputRole, PolicyAnswer, TrueFlatPolicy, TrueNumber};
 
-use super::truth::{RUNS, Runs, truth};
+use super::{DoublePrecision, Opens};
 use crate::engine::reference::ReferenceEngine;
 use crate::engine::{Engine, Named};
 use crate::flat::{FlatGraph, Interface};
-use crate::networks::{DoublePrecision, Opens};
+use crate::reference::{RUNS, Runs, truth};
 
 /// A policy whose truth is known.
 #[derive(Debug)]

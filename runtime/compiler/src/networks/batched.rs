@@ -4,10 +4,12 @@ use sortie_core::allocate::TeamQuery;
 use sortie_core::{AllocateError, DecideError, Observation};
 use sortie_plans::{BatchedUtilities, BatchedValues, CompileError};
 
-use super::{OnnxRuntime, SessionEngine, batched_agents_onnx, batched_team_values_onnx};
+use super::{AgentColumns, feature_rows};
 use crate::engine::{Engine, Tensors, flag};
 use crate::graph::{Graph, TeamRoles};
-use crate::networks::{AgentColumns, feature_rows};
+use crate::onnxruntime::{
+    OnnxRuntime, SessionEngine, batched_agents_onnx, batched_team_values_onnx,
+};
 
 /// An agent's network that answers for all agents of a frame at once, see [`batched_agents_onnx`].
 #[derive(Debug)]
