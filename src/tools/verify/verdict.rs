@@ -12,7 +12,7 @@ pub(super) fn print(report: &Report) {
         say!("{}", engine.name);
         let mut table = Table::new(&[
             first,
-            "inputs",
+            "cases",
             "error",
             "rounding",
             "other",

@@ -30,6 +30,16 @@ impl TractEngine {
     }
 }
 
+impl TractEngine {
+    /// The same with other names of its inputs, in the graph's order.
+    pub(crate) fn with_inputs(mut self, names: impl IntoIterator<Item = String>) -> Self {
+        for ((own, _), name) in self.inputs.iter_mut().zip(names) {
+            *own = name;
+        }
+        self
+    }
+}
+
 impl Engine for TractEngine {
     type Number = f32;
 

@@ -54,7 +54,9 @@ impl Opens for Tract {
     }
 
     fn open_policy(&self, graph: &FlatGraph) -> Result<TractEngine, CompileError> {
-        TractEngine::new(&graph.model)
+        // What stands at the inputs of a simplified graph may have other names than the file's.
+        let names = graph.interface.facts.inputs.iter().map(|input| input.name.clone());
+        Ok(TractEngine::new(&graph.model)?.with_inputs(names))
     }
 }
 

@@ -7,8 +7,8 @@ use tract_onnx::tract_core::ops::change_axes::AxisOp;
 use tract_onnx::tract_core::ops::downsample::Downsample;
 use tract_onnx::tract_hir::internal::DimLike;
 
-use super::values::{Dimension, Value, numbers};
-use super::{Lowered, Lowering};
+use super::values::{Value, numbers};
+use super::{Dimension, Lowered, Lowering};
 
 /// The steps between neighbours along every axis.
 pub(super) fn strides(shape: &[usize]) -> Vec<usize> {

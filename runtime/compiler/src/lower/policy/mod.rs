@@ -106,6 +106,14 @@ fn needed(graph: &FlatGraph) -> HashSet<usize> {
     needed
 }
 
+/// One dimension of a copy: numbers along it, and the steps in the source and in the result.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Dimension {
+    size: usize,
+    from: usize,
+    to: usize,
+}
+
 /// What is written so far.
 struct Lowering<'m> {
     model: &'m TypedModel,

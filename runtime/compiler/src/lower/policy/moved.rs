@@ -9,8 +9,7 @@ use tract_onnx::prelude::*;
 use tract_onnx::tract_hir::internal::*;
 
 use super::arrange::strides;
-use super::values::Dimension;
-use super::{Lowered, Lowering};
+use super::{Dimension, Lowered, Lowering};
 use crate::graph::guarded;
 
 /// The most copies that one node becomes.

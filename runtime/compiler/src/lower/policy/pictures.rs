@@ -7,8 +7,7 @@ use tract_onnx::tract_core::ops::cast::Cast;
 use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;
 use tract_onnx::tract_core::ops::logic::Iff;
 
-use super::values::Dimension;
-use super::{Lowered, Lowering};
+use super::{Dimension, Lowered, Lowering};
 use crate::matching::Matrix;
 
 /// Pictures of the graph, channel behind channel, that stand point behind point, the channels of a point side by side.

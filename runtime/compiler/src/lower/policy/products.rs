@@ -11,9 +11,8 @@ use tract_onnx::tract_core::ops::change_axes::AxisOp;
 use tract_onnx::tract_core::ops::einsum::EinSum;
 
 use super::arrange::strides;
-use super::values::Dimension;
 use super::values::{PolicyWeights, StoredLayer, Value, numbers};
-use super::{Lowered, Lowering, WIDEST};
+use super::{Dimension, Lowered, Lowering, WIDEST};
 use crate::lower::agent::at_most;
 use crate::matching::{Layer, Matrix, as_matrix};
 

@@ -9,9 +9,8 @@ use tract_onnx::tract_core::ops::array::{CumSum, Topk};
 use tract_onnx::tract_core::ops::nn::{self, Reducer, SoftmaxKind};
 
 use super::arrange::strides;
-use super::values::Dimension;
 use super::values::{Value, numbers};
-use super::{Lowered, Lowering};
+use super::{Dimension, Lowered, Lowering};
 
 impl Lowering<'_> {
     pub(super) fn softmax(&mut self, node: &TypedNode, op: &nn::Softmax) -> Lowered<()> {

@@ -19,14 +19,6 @@ use crate::lower::int8::{Int8Weights, Order};
 use crate::lower::rounding::Rounded;
 use crate::matching::Layer;
 
-/// One dimension of a copy: numbers along it, and the steps in the source and in the result.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Dimension {
-    pub(super) size: usize,
-    pub(super) from: usize,
-    pub(super) to: usize,
-}
-
 /// The values that have a place: in the order of the graph, or as pictures in another.
 #[derive(Default)]
 pub(super) struct Values {

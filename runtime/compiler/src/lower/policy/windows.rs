@@ -5,8 +5,7 @@ use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::cnn::PoolSpec;
 
 use super::pictures::Picture;
-use super::values::Dimension;
-use super::{Lowered, Lowering};
+use super::{Dimension, Lowered, Lowering};
 
 /// Patches of pictures, each number down and to the right.
 pub(super) struct Windows {
