@@ -38,7 +38,7 @@ pub(super) fn print(report: &Report) {
     }
     say!("{NOTE}");
     say!(
-        "rounding: the largest difference in what 32 bits make right engines err there; at most {MOST_DISTANCE}"
+        "rounding: the largest difference, in what 32 bits make right engines err;\nat most {MOST_DISTANCE}"
     );
     if let Some(engine) = report.engine {
         say!("{engine}");
