@@ -290,8 +290,8 @@ impl<A: Arithmetic, R: AddRuns> Tiles for FloatTiles<'_, A, R> {
 pub(super) fn write(to: &mut [f32], numbers: [f32; PART]) {
     if let Some(to) = to.first_chunk_mut() {
         *to = numbers;
-    } else if let Some(numbers) = numbers.get(..to.len()) {
-        to.copy_from_slice(numbers);
+    } else {
+        to.iter_mut().zip(numbers).for_each(|(to, number)| *to = number);
     }
 }
 

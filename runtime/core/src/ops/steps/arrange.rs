@@ -100,7 +100,8 @@ fn copy_row(
     let from = from.get(..len(from_stride)).ok_or(DecideError::BadLength)?;
     let to = to.get_mut(..len(to_stride)).ok_or(DecideError::BadLength)?;
     match (from_stride, to_stride) {
-        (1, 1) => to.copy_from_slice(from),
+        // Both are as long, which no compiler sees of a copy of slices.
+        (1, 1) => to.iter_mut().zip(from).for_each(|(to, from)| *to = *from),
         (0, 1) => to.fill(from.first().copied().unwrap_or_default()),
         (0, _) | (_, 0) => {
             for index in 0..count {
