@@ -144,7 +144,8 @@ impl AttendOwn {
             let _ = outputs.push(output);
         }
         kernels.softmaxes(&mut asked);
-        for ((member, weights), output) in members.iter_mut().zip(asked).zip(outputs) {
+        // By reference, as a vector that is taken apart ends with a slice that could fail.
+        for ((member, weights), output) in members.iter_mut().zip(&asked).zip(&mut outputs) {
             member.alone |= !weights.finite;
             let rows = Rows { slots: &member.slots, ..Rows::first(values, step, 0) };
             kernels.mix(weights.scores, rows, output);

@@ -344,9 +344,11 @@ impl Int8AttendOwn {
             let _ = asked.push(Scores { scores, count, finite: true });
         }
         kernels.softmaxes(&mut asked);
-        for (member, scores) in members.iter_mut().zip(asked) {
+        // By reference, as a vector that is taken apart ends with a slice that could fail.
+        for (member, scores) in members.iter_mut().zip(&asked) {
             member.alone |= !scores.finite;
         }
+        drop(asked);
         let mut steps = [0.0; TEAM];
         let own = own.chunks_exact_mut((*own_floats).max(1));
         for ((member, own), step) in members.iter_mut().zip(own).zip(&mut steps) {
