@@ -89,10 +89,10 @@ pub trait Kernels: Copy + Int8Kernels {
     /// Matrix times several vectors of which much is zero ([`several::sparse_products`]).
     fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
 
-    /// A layer on the patches of a picture ([`patches::convolve`]).
+    /// A layer on the patches of a picture.
     fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]);
 
-    /// One number of every channel of patches ([`patches::fold`]); a run is a number for every channel.
+    /// One number of every channel of patches; a run is a number for every channel.
     fn fold(self, layer: &PatchLayer<'_>, by: Fold, from: &[f32], to: &mut [f32]);
 
     /// Dot products of one vector with rows ([`dot::dots`]).
