@@ -140,18 +140,27 @@ impl Lowering<'_> {
         let mut order: Vec<usize> = (0..shape.len()).collect();
         let axis = order.remove(from);
         order.insert(to, axis);
-        let steps = picture.and_then(|picture| Some((picture.place, picture.strides(&shape)?)));
-        let place = match steps {
-            Some((place, steps)) => {
-                let sizes: Vec<usize> = order.iter().map(|axis| shape[*axis]).collect();
-                self.copied(node, place, &sizes, order.iter().map(|axis| steps[*axis]))?
-            }
-            None => {
-                let value = self.operand(node, 0)?;
-                self.permuted(node, &value, &order)?
-            }
-        };
+        let place = self.reordered(node, 0, &order)?;
         self.give(node, 0, place)
+    }
+
+    /// The axes of an operand in another order; a picture is read as it stands.
+    pub(super) fn reordered(
+        &mut self,
+        node: &TypedNode,
+        slot: usize,
+        order: &[usize],
+    ) -> Lowered<Place> {
+        let outlet = self.outlet(node, slot)?;
+        let shape = self.shape(self.model.node(outlet.node), outlet.slot)?;
+        let picture = self.values.picture(outlet);
+        let steps = picture.and_then(|picture| Some((picture.place, picture.strides(&shape)?)));
+        let Some((place, steps)) = steps else {
+            let value = self.operand(node, slot)?;
+            return self.permuted(node, &value, order);
+        };
+        let sizes: Vec<usize> = order.iter().map(|axis| shape[*axis]).collect();
+        self.copied(node, place, &sizes, order.iter().map(|axis| steps[*axis]))
     }
 
     pub(super) fn slice(&mut self, node: &TypedNode, slice: &Slice) -> Lowered<()> {

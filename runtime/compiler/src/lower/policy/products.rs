@@ -73,15 +73,8 @@ impl<'m> Lowering<'m> {
         if let Some(hot) = self.hot_vector(node, slot).filter(|_| is_tiled) {
             return self.row_of_layer(node, hot, layer);
         }
-        let picture = self.values.picture(self.outlet(node, slot)?);
-        let picture = picture.filter(|all| all.place.len as usize == layer.matrix.inputs);
-        if let Some(picture) = picture {
-            // All of it is summed over, in whichever order.
-            layer.matrix = picture.ordered(&layer.matrix);
-            self.values.as_picture = Some(picture);
-        }
-        let value = self.operand(node, slot)?;
-        self.values.as_picture = None;
+        let outlet = self.outlet(node, slot)?;
+        let shape = self.shape(self.model.node(outlet.node), outlet.slot)?;
         let axes = self.product_axes(node, einsum)?;
         let own = |axis: &Axis| axis.at[slot];
         let is_inner = |axis: &&Axis| axis.kind == Kind::Inner;
@@ -93,9 +86,17 @@ impl<'m> Lowering<'m> {
         inner.sort_unstable();
         order.extend(inner);
         // Axes of one number stand anywhere.
-        let others = (0..value.shape.len()).filter(|axis| !order.contains(axis));
+        let others = (0..shape.len()).filter(|axis| !order.contains(axis));
         let order: Vec<usize> = others.collect::<Vec<_>>().into_iter().chain(order).collect();
-        let from = self.permuted(node, &value, &order)?;
+        let whole = self.values.picture(outlet);
+        let whole = whole.filter(|all| all.place.len as usize == layer.matrix.inputs);
+        let from = if let Some(picture) = whole {
+            // All of it is summed over, in whichever order.
+            layer.matrix = picture.ordered(&layer.matrix);
+            picture.place
+        } else {
+            self.reordered(node, slot, &order)?
+        };
         let (inputs, outputs) = (layer.matrix.inputs, layer.matrix.outputs);
         at_most("the width of a layer", inputs.max(outputs), WIDEST)?;
         let rows = (from.len as usize / inputs.max(1)).max(1);
