@@ -10,7 +10,7 @@ use pyo3::sync::MutexExt;
 use pyo3::types::{PyDict, PyTuple};
 use serde_json::{Value, json};
 use sortie_core::DecideError;
-use sortie_core::plan::{AlignedBytes, Network, PlanError};
+use sortie_core::plan::{AlignedBytes, Network, PlanError, RobotFacts};
 use sortie_plans::{OutputRole, PolicyOutput, inspect_plan};
 
 use crate::arrays::{Numbers, array, array_as, flags, mask, numbers, slice};
@@ -191,6 +191,12 @@ impl Plan {
             report.entry("policy").or_insert_with(named);
         }
         to_python(py, &report)
+    }
+
+    /// What a robot must know of the policy beside the numbers.
+    #[getter]
+    fn robot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &json!(RobotFacts::of_plan(self.plan.bytes()).unwrap_or_default()))
     }
 
     fn __repr__(&self) -> String {

@@ -7,6 +7,7 @@ use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use serde_json::json;
+use sortie_core::plan::{Normaliser, RobotFacts};
 use sortie_core::wire::{AnswerStatus, Reason};
 use sortie_ipc::{
     AnyThread, ClientCounters, ClientSettings, Domain, Error, Expected, Fallback, PolicySchema,
@@ -55,7 +56,7 @@ pub(crate) struct Action {
 #[pymethods]
 impl PolicyClient {
     #[new]
-    #[pyo3(signature = (domain, *, inputs=None, outputs=None, actions=None, deadline=None, fallback=None, patience=10.0, linger=None))]
+    #[pyo3(signature = (domain, *, inputs=None, outputs=None, actions=None, robot=None, deadline=None, fallback=None, patience=10.0, linger=None))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn new(
         py: Python<'_>,
@@ -63,6 +64,7 @@ impl PolicyClient {
         inputs: Option<&Bound<'_, PyDict>>,
         outputs: Option<&Bound<'_, PyDict>>,
         actions: Option<usize>,
+        robot: Option<&Bound<'_, PyDict>>,
         deadline: Option<f64>,
         fallback: Option<&Bound<'_, PyAny>>,
         patience: f64,
@@ -75,6 +77,7 @@ impl PolicyClient {
             patience: duration("patience", patience)?,
             linger: seconds("linger", linger)?,
         };
+        let robot = robot.map(stated).transpose()?.unwrap_or_default();
         let domain = Domain::new(domain).map_err(of_service)?;
         let client = connect(py, &domain, &settings)?;
         let schema = client.schema().clone();
@@ -86,6 +89,7 @@ impl PolicyClient {
             actions: actions.unwrap_or(schema.actions),
         };
         schema.check(&domain, &expected).map_err(of_service)?;
+        schema.check_robot(&domain, &robot).map_err(of_service)?;
         let interface = Interface::of_served(&inputs, &outputs, &schema);
         Ok(Self {
             client: Mutex::new(Some(client)),
@@ -306,6 +310,34 @@ fn ports(given: Option<&Bound<'_, PyDict>>, own: &[Port]) -> PyResult<Vec<(Strin
         return Ok(own.iter().map(|port| (port.name.clone(), port.length)).collect());
     };
     given.iter().map(|(name, length)| Ok((name.extract()?, length.extract()?))).collect()
+}
+
+/// What somebody states of a robot. A word that is none would be a check that is never made.
+fn stated(robot: &Bound<'_, PyDict>) -> PyResult<RobotFacts> {
+    let mut facts = RobotFacts::default();
+    for (name, value) in robot {
+        let name: String = name.extract()?;
+        match name.as_str() {
+            "joint_names" => facts.joint_names = value.extract()?,
+            "default_joint_pos" => facts.default_joint_pos = value.extract()?,
+            "action_scale" => facts.action_scale = value.extract()?,
+            "stiffness" => facts.stiffness = value.extract()?,
+            "damping" => facts.damping = value.extract()?,
+            "observation_names" => facts.observation_names = value.extract()?,
+            "normaliser" => facts.normaliser = normaliser(&value.extract::<String>()?)?,
+            _ => return Err(PyValueError::new_err(format!("`robot` has no `{name}`"))),
+        }
+    }
+    Ok(facts)
+}
+
+fn normaliser(name: &str) -> PyResult<Normaliser> {
+    match name {
+        "file" => Ok(Normaliser::File),
+        "none" => Ok(Normaliser::None),
+        "unknown" => Ok(Normaliser::Unknown),
+        _ => Err(PyValueError::new_err("`normaliser` is \"file\", \"none\" or \"unknown\"")),
+    }
 }
 
 fn borrowed((name, length): &(String, usize)) -> (&str, usize) {

@@ -254,3 +254,11 @@ def test_names_that_are_another_plans_are_refused(edit, tmp_path):
         sortie.Plan(renamed(plan, edit))
     with pytest.raises(sortie.PlanError, match="it is cut off or changed"):
         sortie.Plan(plan[: plan.index(b"SORTIERO") - 3])
+
+
+def test_a_robots_facts_stand_in_the_plan(root):
+    written = root / "tests" / "golden" / "onnx-written"
+    robot = sortie.Plan(written / "mjlab_velocity.plan").robot
+    assert robot["joint_names"][3] == "knee" and robot["normaliser"] == "file"
+    assert np.allclose(robot["default_joint_pos"][2], -0.312) and len(robot["stiffness"]) == 6
+    assert sortie.Plan(written / "sb3_ppo.onnx", outputs=["actions"]).robot["normaliser"] == "none"

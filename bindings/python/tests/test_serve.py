@@ -271,3 +271,21 @@ def test_the_example_drives_the_cart(domain):
         command = [sys.executable, EXAMPLES / "own_robot.py"]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
         assert "'answered': 300" in done.stdout
+
+
+def test_what_a_robot_states_is_checked(domain):
+    plan = ROOT / "tests" / "golden" / "onnx-written" / "mjlab_velocity.plan"
+    joints = sortie.Plan(plan).robot["joint_names"]
+    own = {"joint_names": joints, "action_scale": np.full(6, 0.25, np.float32), "normaliser": "file"}
+    with served(domain, plan):
+        with sortie.PolicyClient(domain, robot=own, **PATIENT) as client:
+            assert client.schema["robot"]["stiffness"][2] == 60
+        for wrong in [{"joint_names": joints[::-1]}, {"action_scale": [0.5]}, {"normaliser": "none"}]:
+            with pytest.raises(sortie.ServeError, match="here, .* there"):
+                sortie.PolicyClient(domain, robot=own | wrong, **PATIENT)
+    for wrong in [{"joints": joints}, {"normaliser": "files"}]:
+        with pytest.raises(ValueError, match="robot|normaliser"):
+            sortie.PolicyClient(domain, robot=wrong)
+    for wrong in [{"joint_names": "hip"}, {"stiffness": 3}]:
+        with pytest.raises(TypeError):
+            sortie.PolicyClient(domain, robot=wrong)

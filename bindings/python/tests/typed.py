@@ -37,6 +37,10 @@ def robot(observation: NDArray[np.float32]) -> float:
         return float(force[0]) if action.action is None else action.action
 
 
+def joints(path: str) -> sortie.PolicyClient:
+    return sortie.PolicyClient("legs", robot={"joint_names": sortie.Plan(path).robot["joint_names"]})
+
+
 def files(onnx: str, out: str) -> None:
     try:
         report = sortie.compile(onnx, out, profile="fused")

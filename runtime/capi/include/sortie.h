@@ -136,6 +136,54 @@ typedef int32_t SortieKind;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
+// Whether the network itself normalises what it observes by the means and deviations of its training.
+enum SortieNormaliser
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // The plan does not say.
+    SORTIE_NORMALISER_UNKNOWN = 0,
+    // It does not: whoever calls it normalises, if it was trained so.
+    SORTIE_NORMALISER_NONE = 1,
+    // It does.
+    SORTIE_NORMALISER_IN_FILE = 2,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum SortieNormaliser SortieNormaliser;
+#else
+typedef int32_t SortieNormaliser;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// A list that a plan has of its robot, from the metadata of the file that it was made from.
+enum SortieFact
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // Joints in the order of actions: names.
+    SORTIE_FACT_JOINT_NAMES = 0,
+    // Angles or lengths in which the robot stands, radians or metres: numbers.
+    SORTIE_FACT_DEFAULT_JOINT_POS = 1,
+    // What an action is multiplied by; one number, or one for each joint.
+    SORTIE_FACT_ACTION_SCALE = 2,
+    // Gains of the joints' position control, Nm/rad or N/m: numbers.
+    SORTIE_FACT_STIFFNESS = 3,
+    // Gains of their velocity, Nms/rad or Ns/m: numbers.
+    SORTIE_FACT_DAMPING = 4,
+    // What the observation consists of: names.
+    SORTIE_FACT_OBSERVATION_NAMES = 5,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum SortieFact SortieFact;
+#else
+typedef int32_t SortieFact;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
 // A loaded policy. It lives in the memory that was given to `sortie_load`, and ends with it: there is nothing to be freed.
 // One thread at a time uses it; several policies may share one plan.
 typedef struct SortiePolicy SortiePolicy;
@@ -250,6 +298,18 @@ size_t sortie_features(const SortiePolicy *policy);
 
 // Most entities that an agent sees at a time.
 size_t sortie_most_entities(const SortiePolicy *policy);
+
+// Number of names or numbers of a list, a `SortieFact`.
+size_t sortie_fact_count(const SortiePolicy *policy, int32_t fact);
+
+// The name at `index` of a list of names, which stands in the plan; NULL where there is none.
+const char *sortie_fact_name(const SortiePolicy *policy, int32_t fact, size_t index);
+
+// The number at `index` of a list of numbers; NaN where there is none.
+float sortie_fact_number(const SortiePolicy *policy, int32_t fact, size_t index);
+
+// Whether the network normalises what it observes.
+SortieNormaliser sortie_normaliser(const SortiePolicy *policy);
 
 // Writes the outputs of a policy and replaces its recurrent states, which the caller keeps, `sortie_state_numbers` in
 // all. Where that fails no state has changed, and outputs hold nothing to be used.

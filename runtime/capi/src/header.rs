@@ -5,12 +5,13 @@ use std::vec::Vec;
 use std::{env, fs};
 
 /// The sources in the order in which the header has what they say.
-const SOURCES: [&str; 6] = [
+const SOURCES: [&str; 7] = [
     "src/errors.rs",
     "src/policy.rs",
     "src/exports/version.rs",
     "src/exports/load.rs",
     "src/exports/sizes.rs",
+    "src/exports/robot.rs",
     "src/exports/decide.rs",
 ];
 

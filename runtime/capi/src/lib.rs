@@ -41,6 +41,7 @@ mod policy;
 pub use errors::SortieError;
 pub use exports::decide::*;
 pub use exports::load::*;
+pub use exports::robot::*;
 pub use exports::sizes::*;
 pub use exports::version::*;
 pub use policy::SortiePolicy;

@@ -3,7 +3,7 @@
 use core::alloc::Layout;
 use core::slice;
 
-use sortie_core::plan::{ALIGNMENT, Network};
+use sortie_core::plan::{ALIGNMENT, Network, Robot};
 
 use crate::border::{Array, Span, apart};
 use crate::errors::SortieError;
@@ -16,6 +16,8 @@ pub struct SortiePolicy {
     memory: Span,
     bytes: Span,
     pub(crate) plan: Plan<'static>,
+    /// What stands in the plan beside the network.
+    pub(crate) robot: Option<Robot<'static>>,
     pub(crate) arena: &'static mut [u8],
     /// Room for the inputs of a call; empty slices between calls.
     pub(crate) inputs: &'static mut [&'static [f32]],
@@ -77,7 +79,8 @@ impl SortiePolicy {
         apart([memory.span()].into_iter(), [plan.span()].into_iter())?;
         let bytes = plan.span();
         // SAFETY: as the caller promises.
-        let plan = load(unsafe { plan.read() })?;
+        let plan = unsafe { plan.read() };
+        let (plan, robot) = (load(plan)?, Robot::of_plan(plan));
         let parts = Parts::of(&plan).ok_or(SortieError::MemoryTooSmall)?;
         let before = memory.start().addr().wrapping_neg() % ALIGNMENT;
         if memory.len() < parts.bytes.saturating_add(before) {
@@ -109,6 +112,7 @@ impl SortiePolicy {
                 inputs: slice::from_raw_parts_mut(input_slots, inputs),
                 outputs: slice::from_raw_parts_mut(output_slots, outputs),
                 plan,
+                robot,
             });
         }
         Ok(policy)

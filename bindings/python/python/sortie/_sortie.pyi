@@ -87,6 +87,14 @@ class Plan:
     def inspect(self) -> dict[str, Any]:
         """What the plan takes, gives, computes and costs: `sortie inspect PLAN --json`."""
 
+    @property
+    def robot(self) -> dict[str, Any]:
+        """What a robot must know of the policy beside the numbers, from the metadata that exporters of Isaac Lab, mjlab
+        and RSL-RL write: `joint_names` in the order of actions, `default_joint_pos`, `action_scale`, `stiffness`,
+        `damping`, `observation_names`, empty lists where nothing is known. `normaliser` is "file" where the network
+        normalises what it sees by itself, "none" where it does not, "unknown" where the plan does not say.
+        """
+
 @final
 class Bundle:
     """A team: its agents, and the allocator that it learned.
@@ -144,7 +152,8 @@ class PolicyClient:
 
     `deadline` is how many seconds a decision takes at most, `fallback` ("hold", "zero" or an action's number) what is done
     without an answer: both as the server says, unless they are given. `linger` is how many seconds a wait looks for the
-    answer before it sleeps.
+    answer before it sleeps. `robot` is what the program knows of its robot, with any of the keys of `Plan.robot`; a policy
+    that says something else is refused.
 
     Python's other threads run on during every wait, and Ctrl-C ends it. One call at a time: a second one raises
     RuntimeError. Not to be used on both sides of a fork.
@@ -159,6 +168,7 @@ class PolicyClient:
         inputs: dict[str, int] | None = None,
         outputs: dict[str, int] | None = None,
         actions: int | None = None,
+        robot: dict[str, Any] | None = None,
         deadline: float | None = None,
         fallback: str | int | None = None,
         patience: float = 10.0,
@@ -191,7 +201,9 @@ class PolicyClient:
 
     @property
     def schema(self) -> dict[str, Any]:
-        """What the policy takes and gives: `inputs`, `outputs` and `states`, each with `name` and `length`, and `actions`."""
+        """What the policy takes and gives: `inputs`, `outputs` and `states`, each with `name` and `length`, and `actions`;
+        `robot` as `Plan.robot` has it, where the plan says.
+        """
 
     def close(self) -> None:
         """Leaves the domain, so that another robot may come. At the end of a `with` block by itself."""

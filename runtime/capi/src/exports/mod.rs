@@ -2,5 +2,6 @@
 
 pub(crate) mod decide;
 pub(crate) mod load;
+pub(crate) mod robot;
 pub(crate) mod sizes;
 pub(crate) mod version;

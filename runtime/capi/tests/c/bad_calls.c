@@ -133,6 +133,9 @@ static void no_policies(Plan plan)
         CHECK(sortie_state_count(none) == 0 && sortie_state_length(none, 0) == 0);
         CHECK(sortie_state_numbers(none) == 0 && sortie_actions(none) == 0);
         CHECK(sortie_features(none) == 0 && sortie_most_entities(none) == 0);
+        CHECK(sortie_fact_count(none, 0) == 0 && sortie_fact_name(none, 0, 0) == NULL);
+        CHECK(isnan(sortie_fact_number(none, 1, 0)));
+        CHECK(sortie_normaliser(none) == SORTIE_NORMALISER_UNKNOWN);
         EXPECT(error, sortie_respond(none, &good_input, 1, states, 16, &good_output, 1));
         EXPECT(error, sortie_choose(none, &good_input, 1, NULL, 0, states, 16, &decision));
         EXPECT(error, sortie_draw(none, &good_input, 1, NULL, 0, states, 16, 0, &decision));

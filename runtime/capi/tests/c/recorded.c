@@ -1,5 +1,6 @@
 /* Recorded answers, bit for bit. */
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -22,6 +23,29 @@ static uint32_t largest(const float *numbers, uint32_t count)
         if (numbers[index] > numbers[best])
             best = index;
     return best;
+}
+
+static void a_robots_facts_stand_in_the_plan(void)
+{
+    SortiePolicy *robot = load(read_plan("tests/golden/onnx-written/mjlab_velocity.plan"));
+    SortiePolicy *other = load(read_plan("tests/golden/plans/policy-2.0.plan"));
+    CHECK(sortie_fact_count(robot, SORTIE_FACT_JOINT_NAMES) == 6);
+    CHECK(strcmp(sortie_fact_name(robot, SORTIE_FACT_JOINT_NAMES, 3), "knee") == 0);
+    CHECK(sortie_fact_name(robot, SORTIE_FACT_JOINT_NAMES, 6) == NULL);
+    CHECK(strcmp(sortie_fact_name(robot, SORTIE_FACT_OBSERVATION_NAMES, 5), "command") == 0);
+    CHECK(sortie_fact_number(robot, SORTIE_FACT_DEFAULT_JOINT_POS, 2) == -0.312f);
+    CHECK(sortie_fact_number(robot, SORTIE_FACT_ACTION_SCALE, 5) == 0.25f);
+    CHECK(sortie_fact_number(robot, SORTIE_FACT_STIFFNESS, 2) == 60.0f);
+    CHECK(sortie_fact_count(robot, SORTIE_FACT_DAMPING) == 6);
+    CHECK(sortie_normaliser(robot) == SORTIE_NORMALISER_IN_FILE);
+    /* Neither a list nor a place in it that there is not. */
+    CHECK(isnan(sortie_fact_number(robot, SORTIE_FACT_DAMPING, 6)));
+    CHECK(isnan(sortie_fact_number(robot, SORTIE_FACT_DAMPING, SIZE_MAX)));
+    CHECK(isnan(sortie_fact_number(robot, SORTIE_FACT_JOINT_NAMES, 0)));
+    CHECK(sortie_fact_name(robot, SORTIE_FACT_DAMPING, 0) == NULL);
+    CHECK(sortie_fact_count(robot, 6) == 0 && sortie_fact_count(robot, -1) == 0);
+    CHECK(sortie_fact_count(other, SORTIE_FACT_JOINT_NAMES) == 0);
+    CHECK(sortie_normaliser(other) == SORTIE_NORMALISER_UNKNOWN);
 }
 
 static void policy_responds_chooses_and_draws(void)
@@ -155,6 +179,7 @@ static void policy_remembers(void)
 
 void recorded(void)
 {
+    a_robots_facts_stand_in_the_plan();
     policy_responds_chooses_and_draws();
     agent_decides_and_samples();
     policy_remembers();
