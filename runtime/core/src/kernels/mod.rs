@@ -89,6 +89,11 @@ pub trait Kernels: Copy + Int8Kernels {
     /// Matrix times several vectors of which much is zero ([`several::sparse_products`]).
     fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
 
+    /// Vectors times a matrix that stands row after row ([`several::multiply`]).
+    fn multiply(self, matrix: &[f32], pairs: &mut [Pair<'_>]) {
+        pairs.iter_mut().for_each(|pair| several::multiply_from(0, matrix, pair));
+    }
+
     /// A layer on the patches of a picture.
     fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]);
 
@@ -171,6 +176,10 @@ impl<A: Arithmetic> Kernels for Portable<A> {
 
     fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
         several::sparse_products::<A>(weights, pairs, around, 0);
+    }
+
+    fn multiply(self, matrix: &[f32], pairs: &mut [Pair<'_>]) {
+        several::multiply(self, matrix, pairs);
     }
 
     fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]) {

@@ -1,6 +1,6 @@
 //! One matrix times several vectors: weights are read once for all of them.
 
-use super::arithmetic::Arithmetic;
+use super::arithmetic::{Arithmetic, Exact};
 use super::mark::{MARKED, mark};
 use super::product::{Around, add_row, finished, tile_width};
 
@@ -84,6 +84,34 @@ pub fn products<A: Arithmetic, R: AddRows>(
             }
         }
         column += width;
+    }
+}
+
+/// Writes the product of every pair's inputs and a matrix that stands row after row, as wide as the outputs: any number
+/// of columns. Never fused, in no profile.
+#[inline(always)]
+pub fn multiply<R: AddRows>(adder: R, matrix: &[f32], pairs: &mut [Pair<'_>]) {
+    let width = pairs.first().map_or(0, |pair| pair.outputs.len());
+    let in_parts = width - width % PART;
+    for pairs in pairs.chunks_mut(R::GROUP) {
+        for first in (0..in_parts).step_by(PART) {
+            let strip = Strip { tile: matrix, width, first };
+            add_strip::<Exact, R, 1>(adder, strip, first, pairs, Around::NOTHING);
+        }
+        pairs.iter_mut().for_each(|pair| multiply_from(in_parts, matrix, pair));
+    }
+}
+
+/// As [`multiply`] for the columns from `first` on of one vector.
+#[inline(always)]
+pub(super) fn multiply_from(first: usize, matrix: &[f32], pair: &mut Pair<'_>) {
+    let rows = matrix.chunks_exact(pair.outputs.len().max(1));
+    let sums = pair.outputs.get_mut(first..).unwrap_or_default();
+    sums.fill(0.0);
+    for (input, row) in pair.inputs.iter().zip(rows) {
+        for (sum, weight) in sums.iter_mut().zip(row.get(first..).unwrap_or_default()) {
+            *sum += input * weight;
+        }
     }
 }
 
@@ -246,7 +274,6 @@ pub(super) fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
 mod tests {
     use super::*;
     use crate::kernels::Portable;
-    use crate::kernels::arithmetic::Exact;
     use crate::kernels::product::product;
     use std::vec::Vec;
 

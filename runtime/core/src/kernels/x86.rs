@@ -154,6 +154,11 @@ macro_rules! build {
             }
 
             #[inline]
+            fn multiply(self, matrix: &[f32], pairs: &mut [Pair<'_>]) {
+                unsafe { $module::multiply::<A>(self, matrix, pairs) }
+            }
+
+            #[inline]
             fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]) {
                 unsafe { $module::convolve::<A>(self, layer, from, to) }
             }
@@ -274,6 +279,11 @@ macro_rules! build {
                 around: Around<'_>,
             ) {
                 $vectors::sparse_products::<A>(weights, pairs, around);
+            }
+
+            #[target_feature(enable = $features)]
+            pub(super) fn multiply<A>(kernels: $name<A>, matrix: &[f32], pairs: &mut [Pair<'_>]) {
+                several::multiply(kernels, matrix, pairs);
             }
 
             #[target_feature(enable = $features)]

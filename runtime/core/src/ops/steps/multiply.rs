@@ -4,6 +4,7 @@ use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
 use super::super::{Place, Places, Scratch, Sizes, apart};
+use super::dense_rows::{pairs, together};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
@@ -60,7 +61,7 @@ impl Operator for Multiply {
     #[inline(always)]
     fn run<K: Kernels>(
         &self,
-        _: K,
+        kernels: K,
         _: &[f32],
         _: &Observation<'_>,
         scratch: &mut Scratch<'_>,
@@ -70,15 +71,11 @@ impl Operator for Multiply {
         let [rows, inner, columns] = [self.rows, self.inner, self.columns].map(|n| n as usize);
         let matrices = left.chunks_exact((rows * inner).max(1));
         let matrices = matrices.zip(right.chunks_exact((inner * columns).max(1)));
+        let together = together(rows);
         for ((left, right), to) in matrices.zip(to.chunks_exact_mut((rows * columns).max(1))) {
-            let rows = left.chunks_exact(inner.max(1)).zip(to.chunks_exact_mut(columns.max(1)));
-            for (left, to) in rows {
-                to.fill(0.0);
-                for (factor, right) in left.iter().zip(right.chunks_exact(columns.max(1))) {
-                    for (to, right) in to.iter_mut().zip(right) {
-                        *to += factor * right;
-                    }
-                }
+            let left = left.chunks(inner.saturating_mul(together).max(1));
+            for (left, to) in left.zip(to.chunks_mut(columns.saturating_mul(together).max(1))) {
+                kernels.multiply(right, &mut pairs((left, inner), (to, columns)));
             }
         }
         Ok(())
