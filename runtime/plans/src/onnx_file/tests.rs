@@ -96,6 +96,7 @@ fn files_of_other_formats_are_named() {
         ("policy.pt", b"PK\x03\x04 an archive".to_vec(), "TorchScript"),
         ("policy.safetensors", safetensors, "safetensors"),
         ("policy.nn", vec![16, 0, 0, 0], "Barracuda"),
+        ("policy.plan", b"SORTIEPL and more".to_vec(), "is a plan"),
     ] {
         let path = folder.path().join(name);
         fs::write(&path, bytes).expect("a file");
