@@ -91,7 +91,7 @@ pub trait Kernels: Copy + Int8Kernels {
 
     /// Vectors times a matrix that stands row after row ([`several::multiply`]).
     fn multiply(self, matrix: &[f32], pairs: &mut [Pair<'_>]) {
-        pairs.iter_mut().for_each(|pair| several::multiply_from(0, matrix, pair));
+        pairs.iter_mut().for_each(|pair| several::multiply_one(matrix, pair));
     }
 
     /// A layer on the patches of a picture.

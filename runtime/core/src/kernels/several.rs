@@ -92,24 +92,24 @@ pub fn products<A: Arithmetic, R: AddRows>(
 #[inline(always)]
 pub fn multiply<R: AddRows>(adder: R, matrix: &[f32], pairs: &mut [Pair<'_>]) {
     let width = pairs.first().map_or(0, |pair| pair.outputs.len());
-    let in_parts = width - width % PART;
+    let Some(last) = width.checked_sub(PART) else {
+        return pairs.iter_mut().for_each(|pair| multiply_one(matrix, pair));
+    };
     for pairs in pairs.chunks_mut(R::GROUP) {
-        for first in (0..in_parts).step_by(PART) {
+        // The last columns of all; counting some of them once more changes nothing.
+        for first in (0..last).step_by(PART).chain([last]) {
             let strip = Strip { tile: matrix, width, first };
             add_strip::<Exact, R, 1>(adder, strip, first, pairs, Around::NOTHING);
         }
-        pairs.iter_mut().for_each(|pair| multiply_from(in_parts, matrix, pair));
     }
 }
 
-/// As [`multiply`] for the columns from `first` on of one vector.
+/// As [`multiply`] for one vector, without vectors of the processor.
 #[inline(always)]
-pub(super) fn multiply_from(first: usize, matrix: &[f32], pair: &mut Pair<'_>) {
-    let rows = matrix.chunks_exact(pair.outputs.len().max(1));
-    let sums = pair.outputs.get_mut(first..).unwrap_or_default();
-    sums.fill(0.0);
-    for (input, row) in pair.inputs.iter().zip(rows) {
-        for (sum, weight) in sums.iter_mut().zip(row.get(first..).unwrap_or_default()) {
+pub(super) fn multiply_one(matrix: &[f32], pair: &mut Pair<'_>) {
+    pair.outputs.fill(0.0);
+    for (input, row) in pair.inputs.iter().zip(matrix.chunks_exact(pair.outputs.len().max(1))) {
+        for (sum, weight) in pair.outputs.iter_mut().zip(row) {
             *sum += input * weight;
         }
     }
