@@ -6,6 +6,7 @@ use std::path::Path;
 
 use sortie_core::EntityMask;
 
+use crate::files::MOST_BYTES;
 use crate::{
     AGENT, ALLOCATOR, AgentGraph, Bundle, BundleError, CARD, ContractV1, Draft, Environment,
     FallbackAllocation, GOLDEN, Golden, GoldenAllocation, GoldenCase, GoldenValue, Limits,
@@ -243,6 +244,28 @@ fn every_changed_or_missing_file_is_named() {
         let missing = message(&folder);
         assert!(missing.contains(name) && missing.contains("is missing"), "{missing}");
         fs::write(&path, bytes).unwrap();
+    }
+    assert!(Bundle::open(&folder).is_ok());
+}
+
+#[test]
+fn a_file_that_is_larger_than_any_bundles_is_refused() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("city");
+    draft().write(&folder).unwrap();
+    for name in [AGENT, GOLDEN, MANIFEST] {
+        let path = folder.join(name);
+        let file = fs::File::options().write(true).open(&path).unwrap();
+        let length = file.metadata().unwrap().len();
+        // Nothing is written: what lies behind the content is a hole.
+        file.set_len(MOST_BYTES + 1).unwrap();
+        match Bundle::open(&folder) {
+            Err(BundleError::TooLarge { path: named, bytes, max }) => {
+                assert_eq!((named, bytes, max), (path, MOST_BYTES + 1, MOST_BYTES));
+            }
+            other => panic!("{name}: {other:?}"),
+        }
+        file.set_len(length).unwrap();
     }
     assert!(Bundle::open(&folder).is_ok());
 }
