@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use sortie_core::EntityMask;
+use sortie_core::{EntityMask, limits};
 
 use crate::files::MOST_BYTES;
 use crate::{
@@ -287,6 +287,18 @@ fn an_edited_manifest_is_refused_with_its_reason() {
     assert!(refused("\"distance\"", "\"distance\", \"x\"").contains("2 feature names for 1"));
     assert!(refused("\"card.md\"", "\"../card.md\"").contains("not a plain file name"));
     assert!(refused("n_max = 11", "n_max = \"many\"").contains("cannot be read"));
+    assert!(refused("n_max = 11", "n_max = 0").contains("nothing is seen"));
+    for (limit, most) in [
+        ("n_max = 11", limits::ENTITIES),
+        ("t_max = 6", limits::TASKS),
+        ("team_max = 3", limits::AGENTS),
+    ] {
+        let (name, _) = limit.split_once(' ').unwrap();
+        let beyond = refused(limit, &format!("{name} = {}", most + 1));
+        assert!(beyond.contains(&format!("{name} = {} in [limits]", most + 1)), "{beyond}");
+        fs::write(&path, text.replace(limit, &format!("{name} = {most}"))).unwrap();
+        assert!(Bundle::open(&folder).is_ok(), "{limit}");
+    }
 }
 
 #[test]
