@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::{ALLOCATOR, AgentGraph, Bundle, MANIFEST, Manifest, TRAINING, hex};
-use sortie_core::plan::{Normaliser, RobotFacts};
+use sortie_core::plan::{Normaliser, Profile, Proof, RobotFacts};
 use sortie_plans::{
     CompileError, CompileOptions, CompiledPolicy, InspectedOnnx, OnnxFacts, PlanFacts, PolicyFacts,
     PolicyOptions, inspect_plan, is_plan, read_plan_or_onnx,
@@ -202,7 +202,14 @@ fn print_plan(facts: &PlanFacts) {
     row("features", facts.features.to_string());
     row("actions", facts.actions.to_string());
     row("multiply-adds", facts.macs.to_string());
-    row("largest_error", format!("{:.1e}", facts.max_rel_error));
+    match facts.proof {
+        Proof::Distance { max_distance, inputs } => {
+            let is_int8 = facts.profile == Profile::Int8.name();
+            let limit = if is_int8 { "" } else { " of at most 16" };
+            row("rounding", format!("{max_distance:.1}{limit}, on {inputs} inputs"));
+        }
+        Proof::Error { max_rel_error } => row("largest_error", format!("{max_rel_error:.1e}")),
+    }
     row("contract", facts.contract.clone());
     row("source", facts.source.clone());
     if let Some(agreement) = facts.policy.as_ref().and_then(|policy| policy.agreement.as_ref()) {
