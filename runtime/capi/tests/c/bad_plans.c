@@ -143,7 +143,7 @@ static void memory_before_it_runs(void)
         size_t arena, inputs, outputs;
     } plans[] = {{"tests/golden/plans/policy-2.0.plan", 12232, 2, 1},
                  {"tests/golden/plans/agent-2.0.plan", 904, 0, 0},
-                 {"examples/embed_c/cart.plan", 448, 1, 1}};
+                 {"examples/embed_c/cart.plan", 1792, 1, 1}};
     size_t index, bytes;
     for (index = 0; index < sizeof plans / sizeof *plans; index++) {
         const Plan plan = read_plan(plans[index].file);

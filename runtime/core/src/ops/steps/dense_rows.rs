@@ -24,8 +24,16 @@ pub(super) fn pairs<'a>(
     (from, inputs): (&'a [f32], usize),
     (to, outputs): (&'a mut [f32], usize),
 ) -> Vec<Pair<'a>, TOGETHER> {
-    let pairs = from.chunks_exact(inputs.max(1)).zip(to.chunks_exact_mut(outputs.max(1)));
-    pairs.map(|(inputs, outputs)| Pair { inputs, outputs }).take(TOGETHER).collect()
+    let mut pairs = Vec::new();
+    for (inputs, outputs) in
+        from.chunks_exact(inputs.max(1)).zip(to.chunks_exact_mut(outputs.max(1)))
+    {
+        // Collecting them, which fails where there are more, is a path to a panic in some programs.
+        if pairs.push(Pair { inputs, outputs }).is_err() {
+            break;
+        }
+    }
+    pairs
 }
 
 /// `W x + b` of every row x, with a ReLU where one follows.
