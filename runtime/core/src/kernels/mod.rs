@@ -90,8 +90,8 @@ pub trait Kernels: Copy + Int8Kernels {
     fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
 
     /// Vectors times a matrix that stands row after row ([`several::multiply`]).
-    fn multiply(self, matrix: &[f32], pairs: &mut [Pair<'_>]) {
-        pairs.iter_mut().for_each(|pair| several::multiply_one(matrix, pair));
+    fn multiply(self, vectors: &[f32], matrix: &[f32], sizes: [usize; 2], products: &mut [f32]) {
+        several::multiply_plainly(vectors, matrix, sizes, products);
     }
 
     /// A layer on the patches of a picture.
@@ -178,8 +178,8 @@ impl<A: Arithmetic> Kernels for Portable<A> {
         several::sparse_products::<A>(weights, pairs, around, 0);
     }
 
-    fn multiply(self, matrix: &[f32], pairs: &mut [Pair<'_>]) {
-        several::multiply(self, matrix, pairs);
+    fn multiply(self, vectors: &[f32], matrix: &[f32], sizes: [usize; 2], products: &mut [f32]) {
+        several::multiply(self, vectors, matrix, sizes, products);
     }
 
     fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]) {

@@ -81,9 +81,7 @@ impl Work for Multiplied {
         let Self { inputs, outputs, count } = self;
         let (matrix, vectors) = (numbers(inputs * outputs, 7), numbers(inputs * count, 8));
         let mut products = vec![f32::NAN; outputs * count];
-        let pairs = vectors.chunks(inputs).zip(products.chunks_mut(outputs));
-        let mut pairs: Vec<_> = pairs.map(|(inputs, outputs)| Pair { inputs, outputs }).collect();
-        kernels.multiply(&matrix, &mut pairs);
+        kernels.multiply(&vectors, &matrix, [inputs, outputs], &mut products);
         bits(&products)
     }
 }

@@ -154,8 +154,8 @@ macro_rules! build {
             }
 
             #[inline]
-            fn multiply(self, matrix: &[f32], pairs: &mut [Pair<'_>]) {
-                unsafe { $module::multiply::<A>(self, matrix, pairs) }
+            fn multiply(self, vectors: &[f32], matrix: &[f32], sizes: [usize; 2], products: &mut [f32]) {
+                unsafe { $module::multiply::<A>(self, vectors, matrix, sizes, products) }
             }
 
             #[inline]
@@ -282,8 +282,14 @@ macro_rules! build {
             }
 
             #[target_feature(enable = $features)]
-            pub(super) fn multiply<A>(kernels: $name<A>, matrix: &[f32], pairs: &mut [Pair<'_>]) {
-                several::multiply(kernels, matrix, pairs);
+            pub(super) fn multiply<A>(
+                kernels: $name<A>,
+                vectors: &[f32],
+                matrix: &[f32],
+                sizes: [usize; 2],
+                products: &mut [f32],
+            ) {
+                several::multiply(kernels, vectors, matrix, sizes, products);
             }
 
             #[target_feature(enable = $features)]

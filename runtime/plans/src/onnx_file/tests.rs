@@ -78,9 +78,9 @@ fn other_files_come_as_they_are() {
     let cut = &whole[..whole.len() - 3];
     for bytes in [b"SORTIEPL plan".as_slice(), b"", &[0xff; 30], cut, &inside] {
         fs::write(&path, bytes).unwrap();
-        assert!(read_onnx(&path).is_ok_and(|read| read == bytes), "{bytes:?}");
+        assert!(read_plan_or_onnx(&path).is_ok_and(|read| read == bytes), "{bytes:?}");
     }
-    assert!(read_onnx(folder.path()).is_err());
+    assert!(read_plan_or_onnx(folder.path()).is_err());
 }
 
 #[test]

@@ -9,32 +9,8 @@ use crate::kernels::Kernels;
 use crate::kernels::several::Pair;
 use crate::policy::{DecideError, Observation};
 
-/// Most rows that are worked on together.
+/// Rows that are worked on together.
 const TOGETHER: usize = 8;
-
-/// How many of so many rows are worked on together: all groups are about as large, for a row alone costs half as much
-/// as eight.
-pub(super) fn together(rows: usize) -> usize {
-    rows.div_ceil(rows.div_ceil(TOGETHER).max(1)).max(1)
-}
-
-/// Rows of one value, each with its row of another: as many as are worked on together.
-#[inline(always)]
-pub(super) fn pairs<'a>(
-    (from, inputs): (&'a [f32], usize),
-    (to, outputs): (&'a mut [f32], usize),
-) -> Vec<Pair<'a>, TOGETHER> {
-    let mut pairs = Vec::new();
-    for (inputs, outputs) in
-        from.chunks_exact(inputs.max(1)).zip(to.chunks_exact_mut(outputs.max(1)))
-    {
-        // Collecting them, which fails where there are more, is a path to a panic in some programs.
-        if pairs.push(Pair { inputs, outputs }).is_err() {
-            break;
-        }
-    }
-    pairs
-}
 
 /// `W x + b` of every row x, with a ReLU where one follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
@@ -104,10 +80,12 @@ impl Operator for DenseRows {
             }
             return Ok(());
         }
-        let together = together(self.rows as usize);
-        let rows = from.chunks(inputs.saturating_mul(together).max(1));
-        for (from, to) in rows.zip(to.chunks_mut(outputs.saturating_mul(together).max(1))) {
-            kernels.products(matrix, &mut pairs((from, inputs), (to, outputs)), around);
+        let rows = from.chunks(inputs.saturating_mul(TOGETHER).max(1));
+        for (from, to) in rows.zip(to.chunks_mut(outputs.saturating_mul(TOGETHER).max(1))) {
+            let pairs = from.chunks_exact(inputs.max(1)).zip(to.chunks_exact_mut(outputs.max(1)));
+            let pairs = pairs.map(|(inputs, outputs)| Pair { inputs, outputs });
+            let mut pairs: Vec<Pair<'_>, TOGETHER> = pairs.take(TOGETHER).collect();
+            kernels.products(matrix, &mut pairs, around);
         }
         Ok(())
     }

@@ -4,7 +4,6 @@ use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
 use super::super::operator::Operator;
 use super::super::{Place, Places, Scratch, Sizes, apart};
-use super::dense_rows::{pairs, together};
 use crate::kernels::Kernels;
 use crate::policy::{DecideError, Observation};
 
@@ -71,12 +70,8 @@ impl Operator for Multiply {
         let [rows, inner, columns] = [self.rows, self.inner, self.columns].map(|n| n as usize);
         let matrices = left.chunks_exact((rows * inner).max(1));
         let matrices = matrices.zip(right.chunks_exact((inner * columns).max(1)));
-        let together = together(rows);
         for ((left, right), to) in matrices.zip(to.chunks_exact_mut((rows * columns).max(1))) {
-            let left = left.chunks(inner.saturating_mul(together).max(1));
-            for (left, to) in left.zip(to.chunks_mut(columns.saturating_mul(together).max(1))) {
-                kernels.multiply(right, &mut pairs((left, inner), (to, columns)));
-            }
+            kernels.multiply(left, right, [inner, columns], to);
         }
         Ok(())
     }
