@@ -94,7 +94,7 @@ fn reports_what_the_plan_needs_and_how_exact_it_is() {
     let names: Vec<&str> = report.operators.iter().map(|op| op.name.as_str()).collect();
     assert_eq!(names, ["EmbedEntities", "AttendOwn", "Dense", "Dense", "MaskedArgmax"]);
     let max_distance = report.max_distance;
-    assert!(max_distance > 0.1 && max_distance < 6.0, "{report:?}");
+    assert!(max_distance > 0.1 && max_distance <= 16.0, "{report:?}");
     assert_eq!((report.inputs, report.action_mismatches), (256, 0));
     assert_eq!(report.flash_bytes, compiled.bytes.len());
     let facts = inspect_plan(&compiled.bytes).unwrap();
@@ -116,7 +116,7 @@ fn fused_plans_run_where_the_processor_fuses_and_are_refused_elsewhere() {
         return;
     }
     let fused = fused.unwrap();
-    assert!(fused.report.max_distance < 6.0, "{:?}", fused.report);
+    assert!(fused.report.max_distance <= 16.0, "{:?}", fused.report);
     let (facts, exact) = (inspect_plan(&fused.bytes).unwrap(), compiled(&onnx));
     assert_eq!(facts.profile, "fused");
     assert_eq!(inspect_plan(&exact.bytes).unwrap().profile, "exact");
