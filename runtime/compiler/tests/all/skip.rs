@@ -3,7 +3,7 @@
 use sortie_compiler::{GraphPolicy, GraphTeamValue, compile};
 use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
 use sortie_core::internal::kernels::build::Build;
-use sortie_core::plan::{AlignedBytes, HEADER_BYTES, Plan, Profile};
+use sortie_core::plan::{AlignedBytes, Plan, Profile};
 use sortie_core::{EntityMask, PlanPolicy, Policy};
 use sortie_plans::{CompileOptions, inspect_plan, random_observations, random_team_queries};
 
