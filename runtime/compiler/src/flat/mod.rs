@@ -94,7 +94,6 @@ fn fixed(
     let mut file = guarded(|| reader().proto_model_for_read(&mut &*onnx))
         .map_err(|reason| CompileError::Unreadable { reason })?;
     prepared::place_functions(&mut file);
-    prepared::widen(&mut file);
     let graph = file.graph.get_or_insert_default();
     let batches = prepared::fix(graph, &options.sizes)?;
     if options.outputs.iter().any(|output| output.ends_with(nodes::LIKELIEST)) {
@@ -106,6 +105,7 @@ fn fixed(
 /// A file as tract reads it, and what goes into and comes out of it.
 fn taken_apart(source: &pb::ModelProto) -> (pb::ModelProto, Values) {
     let mut file = source.clone();
+    prepared::widen(&mut file);
     prepared::narrow(&mut file);
     apart::take_apart(&mut file);
     let values = Values::of(&file);

@@ -1,10 +1,12 @@
 //! Files of numbers of 16 bits. Compiling proves each by double precision on 256 inputs.
 
-use sortie_plans::ValueType;
+use sortie_plans::{PolicyOptions, ValueType};
+use tract_onnx::pb::ModelProto;
 use tract_onnx::pb::tensor_proto::DataType::{self, Bfloat16, Float, Float16};
 
 use super::files::File;
 use super::plans::{compiled, number};
+use crate::flat::FlatGraph;
 
 /// A matrix of four columns, every number 0.25 of 16 bits.
 fn half(mut file: File, kind: DataType) -> File {
@@ -28,7 +30,12 @@ fn numbers_of_16_bits_are_computed_in_32() {
         let file = file.node_with("Cast", &["x"], "narrow", vec![number("to", kind as i64)]);
         let file = half(file.layer("narrow", [4, 3], "sum"), kind);
         let file = file.node_with("Cast", &["sum"], "q", vec![number("to", Float as i64)]);
-        let facts = compiled(&file.output("q")).unwrap().facts;
+        let file = file.output("q");
+        let facts = compiled(&file).unwrap().facts;
         assert_eq!(facts.parameters, 12);
+        // The truth reads them by itself: what widens them is judged too.
+        let graph = FlatGraph::read(&file.bytes(), &PolicyOptions::default()).unwrap();
+        let kind_of = |file: &ModelProto| file.graph.as_ref().unwrap().initializer[0].data_type;
+        assert_eq!([&graph.source, &graph.file].map(kind_of), [kind as i32, Float as i32]);
     }
 }
