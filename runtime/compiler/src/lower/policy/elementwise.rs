@@ -236,6 +236,17 @@ impl Lowering<'_> {
         self.give(node, 0, place)
     }
 
+    /// What dividing by a number leaves over, as `fmod` has it: products of quotients up to 4096 with the upper half of the
+    /// divisor's digits are exact, and so is what they leave.
+    fn left_over(&mut self, from: Place, quotient: Place, divisor: f32) -> Place {
+        let upper = f32::from_bits(divisor.to_bits() & 0xffff_f000);
+        let parts = [upper, divisor - upper];
+        parts.into_iter().filter(|part| *part != 0.0).fold(from, |rest, part| {
+            let whole = self.map(Function::Affine, [part, 0.0], quotient);
+            self.combine(Combination::Subtract, rest, whole)
+        })
+    }
+
     /// A function of two values, repeated to the same sizes.
     pub(super) fn binary(&mut self, node: &TypedNode, name: &str) -> Lowered<()> {
         let (left, right) = (self.outlet(node, 0)?, self.outlet(node, 1)?);
@@ -248,8 +259,13 @@ impl Lowering<'_> {
             let quotient = self.combine(Combination::Divide, left, right);
             let mut to = self.map(Function::Truncate, [0.0; 2], quotient);
             if name == "Rem" {
-                let whole = self.combine(Combination::Multiply, to, right);
-                to = self.combine(Combination::Subtract, left, whole);
+                to = match self.uniform(self.outlet(node, 1)?) {
+                    Some(divisor) => self.left_over(left, to, divisor),
+                    None => {
+                        let whole = self.combine(Combination::Multiply, to, right);
+                        self.combine(Combination::Subtract, left, whole)
+                    }
+                };
             }
             return self.give(node, 0, to);
         }
