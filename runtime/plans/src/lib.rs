@@ -57,9 +57,9 @@ pub use network::{
     plan_answers,
 };
 pub use observations::{
-    OwnedEntities, OwnedTeamQuery, random_allocation_states, random_entities, random_observations,
-    random_observations_of, random_policy_inputs, random_states, random_team_queries,
-    random_team_queries_of,
+    OwnedEntities, OwnedTeamQuery, policy_inputs_near_and_far, random_allocation_states,
+    random_entities, random_observations, random_observations_of, random_policy_inputs,
+    random_states, random_team_queries, random_team_queries_of,
 };
 pub use onnx_file::{is_plan, read_onnx, read_plan_or_onnx};
 pub use options::{

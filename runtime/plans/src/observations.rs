@@ -86,6 +86,29 @@ pub fn random_policy_inputs(count: usize, facts: &PolicyFacts, seed: u64) -> Vec
     (0..count).map(case).collect()
 }
 
+/// The same, every eighth time with features eight times as far from their means: networks cut off what is far from them, and
+/// where they do so nothing near the means shows.
+pub fn policy_inputs_near_and_far(
+    count: usize,
+    facts: &PolicyFacts,
+    seed: u64,
+) -> Vec<Vec<Vec<f32>>> {
+    let mut all = random_policy_inputs(count, facts, seed);
+    for given in all.iter_mut().skip(6).step_by(8) {
+        for (input, numbers) in facts.given().zip(given) {
+            let is_seen = matches!(input.role, InputRole::Observation | InputRole::Entities { .. });
+            if !is_seen || !input.kind.is_float() {
+                continue;
+            }
+            for (place, number) in numbers.iter_mut().enumerate() {
+                let mean = input.normals.get(place).map_or(0.0, |[mean, _]| *mean);
+                *number = mean + 8.0 * (*number - mean);
+            }
+        }
+    }
+    all
+}
+
 /// `count` random steps of up to `n_max` entities and `groups` groups: everything, nothing, one, all but one or any
 /// of them present, the same of agents.
 pub fn random_entities(
@@ -365,6 +388,13 @@ mod tests {
         assert!(numbers(0).all(|x| (49.0..=51.0).contains(&x)) && numbers(0).any(|x| x < 49.5));
         assert!(numbers(1).all(|x| (-7.0..=1.0).contains(&x)) && numbers(1).any(|x| x > 0.0));
         assert!(all.iter().all(|given| given[1].iter().sum::<f32>() == 1.0), "a mask holds both");
+        let far = policy_inputs_near_and_far(100, &facts, 3);
+        let is_far = |(index, (far, near)): (usize, (&Vec<Vec<f32>>, &Vec<Vec<f32>>))| {
+            let from_mean = |given: &[Vec<f32>]| given[0][0] - 50.0;
+            let times = if index % 8 == 6 { 8.0 } else { 1.0 };
+            (from_mean(far) - times * from_mean(near)).abs() < 1.0e-4 && far[1] == near[1]
+        };
+        assert!(far.iter().zip(&all).enumerate().all(is_far));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use sortie_core::plan::{AlignedBytes, Network, Profile, Program, Proof, RobotFac
 use sortie_plans::{
     Annex, Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, Distances,
     FlatPolicy, PlanFlatPolicy, PolicyAnswer, PolicyOptions, ProofCase, TeamSizes, TrueNumber,
-    random_policy_inputs, relative_error, report,
+    policy_inputs_near_and_far, relative_error, report,
 };
 
 use crate::flat::{FlatGraph, normaliser, remarks};
@@ -95,12 +95,13 @@ pub(crate) fn prove_policy(
         comparison: Comparison::new("plan against double precision"),
         distances: Distances::default(),
         unsure: 0,
+        failure: None,
         seed,
     };
     let mut states = vec![0.0; facts.state_length()];
     let inputs = facts.affordable(inputs, MOST_MULTIPLY_ADDS);
     let inputs_in_all = inputs;
-    let random = random_policy_inputs(inputs, &facts, seed);
+    let random = policy_inputs_near_and_far(inputs, &facts, seed);
     for (index, inputs) in random.into_iter().enumerate() {
         if index % STEPS == 0 {
             states.fill(0.0);
@@ -115,7 +116,8 @@ pub(crate) fn prove_policy(
     }
     if inputs > 0 && proof.unsure == inputs {
         let reason = "on no random input does double precision tell whether the plan is right";
-        return Err(CompileError::Run { reason: reason.to_owned() });
+        let unknown = CompileError::Run { reason: reason.to_owned() };
+        return Err(proof.failure.unwrap_or(unknown));
     }
     // Plans of few bits are judged by whoever has recorded observations.
     if options.profile != Profile::Int8 && !proof.distances.is_right() {
@@ -137,6 +139,8 @@ struct Proving {
     distances: Distances,
     /// Inputs that tell nothing of the plan.
     unsure: usize,
+    /// Why the file's nodes have no answer, where they have none: a table without the row that an input asks for.
+    failure: Option<CompileError>,
     seed: u64,
 }
 
@@ -152,7 +156,14 @@ impl Proving {
         let input = self.comparison.inputs;
         let mut own = states.to_vec();
         let got = plan.run(given, &mut own);
-        let outputs = truth.outputs(given, states, self.seed)?;
+        let outputs = match truth.outputs(given, states, self.seed) {
+            Ok(outputs) => outputs,
+            Err(failure) => {
+                self.failure.get_or_insert(failure);
+                self.pass_over(states);
+                return Ok(());
+            }
+        };
         let want = truth.answers(&outputs, states)?;
         let truths = truth.compared(&outputs);
         let mut expected: Vec<f32> = want.iter().flat_map(numbers).copied().collect();
@@ -162,9 +173,7 @@ impl Proving {
         let is_sure = |(number, truth): (&f32, &TrueNumber)| is_closed(*number) || truth.is_sure();
         if !expected.iter().zip(&truths).all(is_sure) {
             // Right engines answer or not, as their rounding falls.
-            self.unsure += 1;
-            self.comparison.add_refusal(true);
-            states.fill(0.0);
+            self.pass_over(states);
             return Ok(());
         }
         let has_answer = expected.iter().all(|number| number.is_finite());
@@ -195,6 +204,13 @@ impl Proving {
             .all(|(got, want)| want.scores.is_empty() || got.numbers == want.numbers);
         self.comparison.add_distance(distance, relative_error(&answered, &expected), same);
         Ok(())
+    }
+
+    /// Counts an input that tells nothing of the plan; states begin anew.
+    fn pass_over(&mut self, states: &mut [f32]) {
+        self.unsure += 1;
+        self.comparison.add_refusal(true);
+        states.fill(0.0);
     }
 }
 

@@ -172,11 +172,16 @@ fn what_only_recorded_inputs_reach_is_refused_on_these() {
         file.node("Gemm", &["seen", "q.w", "q.b"], "q").output("q")
     };
     let recorded = |x: f32| ProofCase { inputs: vec![vec![x; 4]], states: None };
-    let judge = |cases: &[ProofCase]| judged_by(&clipped(5.0), &clipped(9.0), cases);
+    let judge = |cases: &[ProofCase]| judged_by(&clipped(50.0), &clipped(90.0), cases);
     judge(&[]).expect("no random input reaches the limit");
-    judge(&[recorded(4.0)]).expect("nor does this one");
-    let found = judge(&[recorded(4.0), recorded(8.0)]);
+    judge(&[recorded(40.0)]).expect("nor does this one");
+    let found = judge(&[recorded(40.0), recorded(80.0)]);
     assert!(matches!(found, Err(CompileError::Wrong { .. })), "{found:?}");
+    let found = judged_by(&clipped(5.0), &clipped(9.0), &[]);
+    assert!(
+        matches!(found, Err(CompileError::Wrong { .. })),
+        "far inputs reach this one: {found:?}"
+    );
 }
 
 #[test]

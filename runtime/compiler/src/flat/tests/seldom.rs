@@ -233,6 +233,11 @@ fn rows_of_tables_are_looked_up() {
     let file = counted("7").input("me", Int64, &["1"]);
     let file = file.node_with("Gather", &["x", "me"], "q", vec![number("axis", 1)]).output("q");
     assert!(steps(&file).contains(&"LookUp"));
+    // Inputs far out ask for rows that are not there. Where all do, nothing is proved.
+    let file = counted("3").whole("beyond", &[100]).constant("table", &[7, 6], &table);
+    let file = file.node("Add", &["n", "beyond"], "m").node("Gather", &["table", "m"], "q");
+    let refused = compiled(&file.output("q")).unwrap_err().to_string();
+    assert!(refused.contains("takes place"), "{refused}");
 }
 
 #[test]
