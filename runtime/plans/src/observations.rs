@@ -389,12 +389,11 @@ mod tests {
         assert!(numbers(1).all(|x| (-7.0..=1.0).contains(&x)) && numbers(1).any(|x| x > 0.0));
         assert!(all.iter().all(|given| given[1].iter().sum::<f32>() == 1.0), "a mask holds both");
         let far = policy_inputs_near_and_far(100, &facts, 3);
-        let is_far = |(index, (far, near)): (usize, (&Vec<Vec<f32>>, &Vec<Vec<f32>>))| {
-            let from_mean = |given: &[Vec<f32>]| given[0][0] - 50.0;
+        let from_mean = |given: &[Vec<f32>]| given[0][0] - 50.0;
+        for (index, (far, near)) in far.iter().zip(&all).enumerate() {
             let times = if index % 8 == 6 { 8.0 } else { 1.0 };
-            (from_mean(far) - times * from_mean(near)).abs() < 1.0e-4 && far[1] == near[1]
-        };
-        assert!(far.iter().zip(&all).enumerate().all(is_far));
+            assert!((from_mean(far) - times * from_mean(near)).abs() < 1.0e-4 && far[1] == near[1]);
+        }
     }
 
     #[test]

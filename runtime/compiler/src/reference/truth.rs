@@ -14,6 +14,10 @@ pub(crate) const RUNS: usize = 1 + NOISY_RUNS;
 /// The part of the other numbers' scatter that counts for each: a small number stands in the sums of large ones.
 const SHARED: f64 = 0.3;
 
+/// How far below zero, in what an output's smallest number is beside 1, a score is shut: files take 1e8 or the largest number
+/// there is from it. What it scatters there is its own; beside it nothing would show of the scores that are open.
+const SHUT: f64 = 1.0e4;
+
 /// What every run gives for each wanted output: first the exact numbers, then those of every noisy run.
 pub(crate) type Runs = Vec<Vec<Vec<f64>>>;
 
@@ -38,8 +42,11 @@ pub(crate) fn truth(runs: &Runs) -> Result<Vec<Vec<TrueNumber>>, String> {
 }
 
 fn scattered(exact: &[f64], squares: &[f64]) -> Vec<TrueNumber> {
-    let finite: Vec<f64> = squares.iter().copied().filter(|square| square.is_finite()).collect();
-    let shared = SHARED.powi(2) * finite.iter().sum::<f64>() / finite.len().max(1) as f64;
+    let smallest = exact.iter().map(|value| value.abs()).fold(f64::INFINITY, f64::min);
+    let is_open = |value: f64| value > -SHUT * (1.0 + smallest);
+    let known = exact.iter().zip(squares).filter(|(value, _)| is_open(**value));
+    let known: Vec<f64> = known.map(|(_, square)| *square).filter(|s| s.is_finite()).collect();
+    let shared = SHARED.powi(2) * known.iter().sum::<f64>() / known.len().max(1) as f64;
     let number = |(value, own): (&f64, &f64)| {
         let last = if fits(*value) { ROUNDING / 2.0 * value.abs() } else { 0.0 };
         // Below the smallest normal number engines may take zero.

@@ -185,6 +185,27 @@ fn what_only_recorded_inputs_reach_is_refused_on_these() {
 }
 
 #[test]
+fn scores_that_are_shut_hide_no_fault_of_those_that_are_open() {
+    for low in [-1.0e8, f32::MIN] {
+        let masked = |bias: f32| {
+            let file = File::default()
+                .input("x", Float, &["1", "6"])
+                .input("mask", Float, &["1", "4"])
+                .constant("w", &[6, 4], &weights(24, 1))
+                .constant("b", &[4], &[0.1, 0.2, bias, 0.4])
+                .constant("one", &[], &[1.0])
+                .constant("low", &[], &[low])
+                .node("Gemm", &["x", "w", "b"], "scores")
+                .node("Sub", &["one", "mask"], "shut")
+                .node("Mul", &["shut", "low"], "lower");
+            file.node("Add", &["scores", "lower"], "logits").output("logits")
+        };
+        let found = judged_by(&masked(0.3), &masked(0.301), &[]);
+        assert!(matches!(found, Err(CompileError::Wrong { .. })), "{low}: {found:?}");
+    }
+}
+
+#[test]
 fn recorded_states_are_those_of_the_proof() {
     // The state only counts where it is beyond what is fed back: 1 at most.
     let kept = |limit: f32| {
