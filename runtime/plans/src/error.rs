@@ -131,9 +131,9 @@ pub enum CompileError {
         what: Cow<'static, str>,
     },
     /// A weight is not a finite number.
-    #[error("the {layer} layer holds a weight that is not finite")]
+    #[error("{layer} holds a weight that is not finite")]
     NonFiniteWeight {
-        /// The layer.
+        /// The layer or the constant.
         layer: Cow<'static, str>,
     },
     /// The plan is further from the truth than 32 bits account for, so it was thrown away.

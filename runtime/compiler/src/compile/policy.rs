@@ -94,7 +94,6 @@ pub(crate) fn prove_policy(
     let mut proof = Proving {
         comparison: Comparison::new("plan against double precision"),
         distances: Distances::default(),
-        unsure: 0,
         seed,
     };
     let mut states = vec![0.0; facts.state_length()];
@@ -113,7 +112,8 @@ pub(crate) fn prove_policy(
         let given: Vec<&[f32]> = case.inputs.iter().map(Vec::as_slice).collect();
         proof.add(plan, truth, &given, &mut states)?;
     }
-    if inputs > 0 && proof.unsure == inputs {
+    // What both refuse proves nothing either.
+    if inputs > 0 && proof.comparison.refused == inputs {
         let reason = "on no random input does double precision tell whether the plan is right";
         return Err(CompileError::Run { reason: reason.to_owned() });
     }
@@ -135,8 +135,6 @@ fn recorded_at(index: usize, inputs: usize, recorded: &[ProofCase]) -> Option<&P
 struct Proving {
     comparison: Comparison,
     distances: Distances,
-    /// Inputs that tell nothing of the plan.
-    unsure: usize,
     seed: u64,
 }
 
@@ -162,7 +160,6 @@ impl Proving {
         let is_sure = |(number, truth): (&f32, &TrueNumber)| is_closed(*number) || truth.is_sure();
         if !expected.iter().zip(&truths).all(is_sure) {
             // Right engines answer or not, as their rounding falls.
-            self.unsure += 1;
             self.comparison.add_refusal(true);
             states.fill(0.0);
             return Ok(());

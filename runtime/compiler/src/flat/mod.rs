@@ -5,6 +5,7 @@
 
 mod apart;
 mod facts;
+mod finite;
 mod misread;
 mod nodes;
 mod normaliser;
@@ -52,6 +53,7 @@ impl FlatGraph {
         let outputs = selection.outputs();
         let file = cut(&file, &outputs);
         file.graph.as_ref().map_or(Ok(()), misread::refuse)?;
+        file.graph.as_ref().map_or(Ok(()), finite::refuse)?;
         misread::refuse_lengths(&file)?;
         let read = || {
             let model = reader().model_for_proto_model(&file)?.into_typed()?;
