@@ -8,7 +8,8 @@ use sortie_plans::{
     random_policy_inputs, relative_error, report,
 };
 
-use crate::flat::{FlatGraph, normaliser, remarks};
+use super::blamed_on;
+use crate::flat::{FlatGraph, normaliser, remarks, wild_constant};
 use crate::graph::guarded;
 use crate::lower::{AgentSizes, Choice, LoweredPolicy, Origin, assemble, lower_policy};
 use crate::networks::TruePolicy;
@@ -69,8 +70,10 @@ pub(crate) fn compile_recorded_policy(
     };
     let draft = AlignedBytes::copy_of(&assemble(&program, &weights, sizes, &origin)?);
     let mut plan = PlanFlatPolicy::load(draft.as_slice(), facts.clone())?;
+    let wild = wild_constant(&graph.file);
     let mut truth = TruePolicy::open(graph)?;
-    let comparison = prove_policy(&mut plan, &mut truth, options, recorded)?;
+    let comparison = prove_policy(&mut plan, &mut truth, options, recorded);
+    let comparison = comparison.map_err(|error| blamed_on(wild, error))?;
     origin.proof = comparison.proof();
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let mut bytes = assemble(&program, &weights, sizes, &origin)?;

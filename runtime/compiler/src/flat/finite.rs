@@ -1,11 +1,12 @@
 //! Weights that are no numbers: a file that holds such was broken on its way, and what it computes is no policy.
 //!
-//! Infinity alone has its uses: limits that are none, and masks that close. It is refused where numbers are multiplied.
+//! Infinity alone has its uses: limits that are none, and masks that close. It is refused where numbers are multiplied. Numbers that
+//! are merely larger than a layer's are looked for once plan and file differ.
 
 use std::collections::HashMap;
 
 use sortie_plans::CompileError;
-use tract_onnx::pb::{GraphProto, NodeProto, TensorProto, tensor_proto::DataType};
+use tract_onnx::pb::{GraphProto, ModelProto, TensorProto, tensor_proto::DataType};
 
 /// Operators that multiply or divide by their weights, or make numbers of integers by them.
 const MULTIPLY: [&str; 17] = [
@@ -42,67 +43,97 @@ const HAND_ON: [&str; 10] = [
     "Unsqueeze",
 ];
 
-/// Constants that hold a number that is not finite.
-#[derive(Clone, Default)]
-struct Broken<'g> {
-    /// The name that the constant has in the file, and whether one of its numbers is NaN, by the names of what holds it.
-    values: HashMap<&'g str, (&'g str, bool)>,
+/// Beyond it no layer that learned has a weight, and below its inverse none is divided by.
+const WILD: f32 = 1e9;
+
+/// What a constant of a file holds.
+#[derive(Clone, Copy, Default)]
+struct Constant<'g> {
+    name: &'g str,
+    is_nan: bool,
+    /// The magnitudes of its largest number, and of its smallest one that is not zero.
+    largest: f32,
+    smallest: f32,
 }
+
+/// A constant, and an operator that is given it.
+type Use<'g> = (Constant<'g>, &'g str);
 
 /// Refuses a graph that multiplies by a constant that is not finite, or uses one that is NaN.
 pub(super) fn refuse(graph: &GraphProto) -> Result<(), CompileError> {
-    refuse_within(graph, Broken::default())
+    let is_broken = |(constant, operator): &Use<'_>| {
+        constant.is_nan || constant.largest.is_infinite() && MULTIPLY.contains(operator)
+    };
+    match uses(graph).into_iter().find(is_broken) {
+        Some((Constant { name, .. }, operator)) => {
+            let layer = format!("the constant `{name}`, used by {operator},").into();
+            Err(CompileError::NonFiniteWeight { layer })
+        }
+        None => Ok(()),
+    }
 }
 
-fn refuse_within<'g>(graph: &'g GraphProto, mut broken: Broken<'g>) -> Result<(), CompileError> {
-    for tensor in &graph.initializer {
-        broken.note(&tensor.name, tensor);
-    }
+/// The constant by which a file multiplies or divides so that numbers of 32 bits may end, and the number: layers have no such
+/// numbers, masks may have.
+pub(crate) fn wild_constant(file: &ModelProto) -> Option<(String, f32)> {
+    let uses = file.graph.as_ref().map(uses).unwrap_or_default();
+    uses.into_iter().find_map(|(constant, operator)| {
+        let divides = operator == "Div" && constant.smallest < 1.0 / WILD;
+        let wild = if divides { constant.smallest } else { constant.largest };
+        let is_wild = MULTIPLY.contains(&operator) && (divides || constant.largest > WILD);
+        is_wild.then(|| (constant.name.to_owned(), wild))
+    })
+}
+
+fn uses(graph: &GraphProto) -> Vec<Use<'_>> {
+    let mut found = Vec::new();
+    note_uses(graph, HashMap::new(), &mut found);
+    found
+}
+
+/// Notes all uses of constants in a graph; `known` are those around it, by the names of what holds them.
+fn note_uses<'g>(
+    graph: &'g GraphProto,
+    mut known: HashMap<&'g str, Constant<'g>>,
+    found: &mut Vec<Use<'g>>,
+) {
+    let held = |name: &'g str, tensor| Some((name, Constant::of(name, tensor)?));
+    known.extend(graph.initializer.iter().filter_map(|tensor| held(&tensor.name, tensor)));
     for node in &graph.node {
         for attribute in &node.attribute {
             if let (Some(tensor), Some(output)) = (&attribute.t, node.output.first()) {
-                broken.note(output, tensor);
+                known.extend(held(output, tensor));
             }
             if let Some(inner) = &attribute.g {
-                refuse_within(inner, broken.clone())?;
+                note_uses(inner, known.clone(), found);
             }
         }
-        broken.refuse_node(node)?;
-    }
-    Ok(())
-}
-
-impl<'g> Broken<'g> {
-    fn note(&mut self, name: &'g str, tensor: &TensorProto) {
-        let (mut is_broken, mut is_nan) = (false, false);
-        for number in floats(tensor) {
-            is_broken |= !number.is_finite();
-            is_nan |= number.is_nan();
+        for name in &node.input {
+            let Some(constant) = known.get(name.as_str()).copied() else { continue };
+            found.push((constant, &node.op_type));
+            if HAND_ON.contains(&node.op_type.as_str()) {
+                known.extend(node.output.iter().map(|output| (output.as_str(), constant)));
+            }
         }
-        if is_broken {
-            self.values.insert(name, (name, is_nan));
-        }
-    }
-
-    fn refuse_node(&mut self, node: &'g NodeProto) -> Result<(), CompileError> {
-        let found = node.input.iter().find_map(|name| self.values.get(name.as_str()).copied());
-        let Some((name, is_nan)) = found else { return Ok(()) };
-        let operator = node.op_type.as_str();
-        if is_nan || MULTIPLY.contains(&operator) {
-            let layer = format!("the constant `{name}`, used by {operator},").into();
-            return Err(CompileError::NonFiniteWeight { layer });
-        }
-        if HAND_ON.contains(&operator) {
-            let outputs = node.output.iter().map(|output| (output.as_str(), (name, is_nan)));
-            self.values.extend(outputs);
-        }
-        Ok(())
     }
 }
 
-/// The numbers of a tensor of floats of 32 bits; of others none.
-fn floats(tensor: &TensorProto) -> impl Iterator<Item = f32> {
-    let is_float = tensor.data_type == DataType::Float as i32;
-    let raw = tensor.raw_data.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
-    raw.chain(tensor.float_data.iter().copied()).filter(move |_| is_float)
+impl<'g> Constant<'g> {
+    /// What a tensor of floats of 32 bits holds; of others nothing is known.
+    fn of(name: &'g str, tensor: &TensorProto) -> Option<Self> {
+        if tensor.data_type != DataType::Float as i32 {
+            return None;
+        }
+        let raw = tensor.raw_data.as_chunks::<4>().0.iter();
+        let raw = raw.map(|bytes| f32::from_le_bytes(*bytes));
+        let mut constant = Self { name, smallest: f32::INFINITY, ..Self::default() };
+        for number in raw.chain(tensor.float_data.iter().copied()) {
+            constant.is_nan |= number.is_nan();
+            constant.largest = constant.largest.max(number.abs());
+            if number != 0.0 {
+                constant.smallest = constant.smallest.min(number.abs());
+            }
+        }
+        Some(constant)
+    }
 }

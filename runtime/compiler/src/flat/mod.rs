@@ -27,6 +27,7 @@ use selection::Selection;
 use values::{Value, Values, reader};
 
 pub(crate) use facts::{Interface, other_values};
+pub(crate) use finite::wild_constant;
 pub(crate) use normaliser::normaliser;
 pub(crate) use remarks::remarks;
 

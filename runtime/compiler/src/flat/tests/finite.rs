@@ -1,10 +1,16 @@
 //! Files with weights that are no numbers.
 
-use sortie_plans::CompileError;
+use prost::Message;
+use sortie_plans::{CompileError, CompileOptions};
+use tract_onnx::pb::ModelProto;
 use tract_onnx::pb::tensor_proto::DataType::Float;
 
 use super::files::File;
 use super::plans::compiled;
+use crate::compile::compile;
+
+const GOLDEN: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/onnx/agent_gru_small.onnx");
 
 const NAN: f32 = f32::NAN;
 const INFINITE: f32 = f32::INFINITY;
@@ -57,4 +63,21 @@ fn what_never_answers_is_not_proved() {
         file.node("Sub", &["x", "x"], "none").node("Div", &["none", "zero"], "q").output("q");
     let error = compiled(&file).unwrap_err();
     assert!(error.to_string().contains("on no random input"), "{error}");
+}
+
+#[test]
+fn a_difference_is_blamed_on_weights_as_no_layer_has() {
+    let onnx = std::fs::read(GOLDEN).unwrap();
+    let with = |weight: f32| {
+        let mut file = ModelProto::decode(&onnx[..]).unwrap();
+        let tensors = &mut file.graph.as_mut().unwrap().initializer;
+        let scale = tensors.iter_mut().find(|tensor| tensor.name == "attention.scale").unwrap();
+        scale.raw_data = weight.to_le_bytes().to_vec();
+        compile(&file.encode_to_vec(), &CompileOptions::default())
+    };
+    with(0.25).expect("a scale of logits");
+    // Logits beyond those by which the mask closes.
+    let error = with(1.9e31).unwrap_err();
+    let CompileError::WildWeight { constant, weight, .. } = &error else { panic!("{error}") };
+    assert_eq!((constant.as_str(), *weight), ("attention.scale", 1.9e31));
 }
