@@ -8,7 +8,8 @@ use sortie_plans::{
     policy_inputs_near_and_far, relative_error, report,
 };
 
-use crate::flat::{FlatGraph, normaliser, remarks};
+use super::blamed_on;
+use crate::flat::{FlatGraph, normaliser, remarks, wild_constant};
 use crate::graph::guarded;
 use crate::lower::{AgentSizes, Choice, LoweredPolicy, Origin, assemble, lower_policy};
 use crate::networks::TruePolicy;
@@ -69,8 +70,10 @@ pub(crate) fn compile_recorded_policy(
     };
     let draft = AlignedBytes::copy_of(&assemble(&program, &weights, sizes, &origin)?);
     let mut plan = PlanFlatPolicy::load(draft.as_slice(), facts.clone())?;
+    let wild = wild_constant(&graph.file);
     let mut truth = TruePolicy::open(graph)?;
-    let comparison = prove_policy(&mut plan, &mut truth, options, recorded)?;
+    let comparison = prove_policy(&mut plan, &mut truth, options, recorded);
+    let comparison = comparison.map_err(|error| blamed_on(wild, error))?;
     origin.proof = comparison.proof();
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let mut bytes = assemble(&program, &weights, sizes, &origin)?;
@@ -94,7 +97,6 @@ pub(crate) fn prove_policy(
     let mut proof = Proving {
         comparison: Comparison::new("plan against double precision"),
         distances: Distances::default(),
-        unsure: 0,
         failure: None,
         seed,
     };
@@ -114,7 +116,8 @@ pub(crate) fn prove_policy(
         let given: Vec<&[f32]> = case.inputs.iter().map(Vec::as_slice).collect();
         proof.add(plan, truth, &given, &mut states)?;
     }
-    if inputs > 0 && proof.unsure == inputs {
+    // What both refuse proves nothing either.
+    if inputs > 0 && proof.comparison.refused == inputs {
         let reason = "on no random input does double precision tell whether the plan is right";
         let unknown = CompileError::Run { reason: reason.to_owned() };
         return Err(proof.failure.unwrap_or(unknown));
@@ -137,8 +140,6 @@ fn recorded_at(index: usize, inputs: usize, recorded: &[ProofCase]) -> Option<&P
 struct Proving {
     comparison: Comparison,
     distances: Distances,
-    /// Inputs that tell nothing of the plan.
-    unsure: usize,
     /// Why the file's nodes have no answer, where they have none: a table without the row that an input asks for.
     failure: Option<CompileError>,
     seed: u64,
@@ -186,8 +187,7 @@ impl Proving {
                 let (answers, seed) = (got.is_some(), self.seed);
                 return Err(CompileError::AnswersOtherwise { answers, input, seed });
             }
-            self.comparison.add_refusal(true);
-            states.fill(0.0);
+            self.pass_over(states);
             return Ok(());
         };
         let mut answered: Vec<f32> = got.iter().flat_map(numbers).copied().collect();
@@ -208,7 +208,6 @@ impl Proving {
 
     /// Counts an input that tells nothing of the plan; states begin anew.
     fn pass_over(&mut self, states: &mut [f32]) {
-        self.unsure += 1;
         self.comparison.add_refusal(true);
         states.fill(0.0);
     }
