@@ -30,7 +30,8 @@ const MULTIPLY: [&str; 17] = [
 ];
 
 /// Operators that hand on what they are given, in another shape.
-const HAND_ON: [&str; 10] = [
+const HAND_ON: [&str; 11] = [
+    "Cast",
     "Concat",
     "Expand",
     "Flatten",
@@ -51,6 +52,7 @@ const WILD: f32 = 1e9;
 struct Constant<'g> {
     name: &'g str,
     is_nan: bool,
+    highest: f32,
     /// The magnitudes of its largest number, and of its smallest one that is not zero.
     largest: f32,
     smallest: f32,
@@ -59,10 +61,13 @@ struct Constant<'g> {
 /// A constant, and an operator that is given it.
 type Use<'g> = (Constant<'g>, &'g str);
 
-/// Refuses a graph that multiplies by a constant that is not finite, or uses one that is NaN.
+/// Refuses a graph that multiplies by a constant that is not finite, takes it from numbers, adds infinity, or uses one that is NaN.
 pub(super) fn refuse(graph: &GraphProto) -> Result<(), CompileError> {
-    let is_broken = |(constant, operator): &Use<'_>| {
-        constant.is_nan || constant.largest.is_infinite() && MULTIPLY.contains(operator)
+    let is_broken = |(constant, operator): &Use<'_>| match *operator {
+        _ if constant.is_nan => true,
+        "Add" => constant.highest == f32::INFINITY,
+        "Sub" => constant.largest.is_infinite(),
+        other => constant.largest.is_infinite() && MULTIPLY.contains(&other),
     };
     match uses(graph).into_iter().find(is_broken) {
         Some((Constant { name, .. }, operator)) => {
@@ -126,9 +131,11 @@ impl<'g> Constant<'g> {
         }
         let raw = tensor.raw_data.as_chunks::<4>().0.iter();
         let raw = raw.map(|bytes| f32::from_le_bytes(*bytes));
-        let mut constant = Self { name, smallest: f32::INFINITY, ..Self::default() };
+        let (highest, smallest) = (f32::NEG_INFINITY, f32::INFINITY);
+        let mut constant = Self { name, highest, smallest, ..Self::default() };
         for number in raw.chain(tensor.float_data.iter().copied()) {
             constant.is_nan |= number.is_nan();
+            constant.highest = constant.highest.max(number);
             constant.largest = constant.largest.max(number.abs());
             if number != 0.0 {
                 constant.smallest = constant.smallest.min(number.abs());

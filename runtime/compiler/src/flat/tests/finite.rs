@@ -50,7 +50,7 @@ fn infinity_closes_actions_and_is_a_limit_that_is_none() {
         file.node("Add", &["some", "mask"], "scores").argmax("scores", "action").choice("action")
     };
     compiled(&file(-INFINITE, INFINITE)).expect("both have a meaning");
-    for broken in [file(NAN, 5.0), file(-1.0, NAN)] {
+    for broken in [file(NAN, 5.0), file(-1.0, NAN), file(INFINITE, 5.0)] {
         let error = compiled(&broken).unwrap_err();
         assert!(matches!(error, CompileError::NonFiniteWeight { .. }), "{error}");
     }
