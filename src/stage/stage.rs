@@ -21,7 +21,7 @@ use crate::mind::{Allocators, Decisions, Note, NotingPolicy, Remembered};
 
 /// How long a world waits for an agent that does not answer: only the order of events counts here.
 const PATIENCE_NS: u64 = 1_000_000;
-/// A seat that leaves so many ticks unanswered is vacant, as for worlds that are processes.
+/// An agent for which nobody acts in so many ticks is absent, as for worlds that are processes.
 const ABSENT_AFTER: u32 = 3;
 
 /// What became of a step.
@@ -226,6 +226,11 @@ impl<'a, W: World> Stage<'a, W> {
         self.runners.get(agent).is_some_and(Option::is_some)
     }
 
+    /// Whether an agent is left out of allocations, since nobody has acted for it for some ticks.
+    pub fn is_absent(&self, agent: usize) -> bool {
+        self.world_role.absent() >> agent & 1 == 1
+    }
+
     /// Has somebody else allocate from the next decision on: 0 what was learned, 1 and up the environment's rules.
     pub fn choose_allocator(&mut self, choice: usize) {
         if let Some(allocators) = &mut self.allocators {
@@ -362,6 +367,7 @@ fn world_options(cast: &Cast, format: FrameFormat, assigns: bool) -> WorldOption
         period_ns: 0,
         patience_ns: PATIENCE_NS,
         absent_after: ABSENT_AFTER,
+        absent: 0,
         decision_interval: cast.decision_interval,
         safe_action: cast.safe_action,
         episodes: None,
