@@ -89,6 +89,20 @@ impl<'a, W: World> Stage<'a, W> {
         world: W,
         seed: u64,
     ) -> Result<Self, StageError> {
+        Self::without(0, memory, cast, world, seed)
+    }
+
+    /// The same with agents that are absent until they are [revived](Self::revive): bit a for agent a.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn without(
+        absent: u64,
+        memory: &'a mut Memory,
+        cast: &Cast,
+        world: W,
+        seed: u64,
+    ) -> Result<Self, StageError> {
         let Memory { agents: team, allocator: allocating, frames, format, clock, entry } = memory;
         let clock: &'a StageClock = clock;
         let format = *format;
@@ -123,7 +137,10 @@ impl<'a, W: World> Stage<'a, W> {
             format,
             clock,
             messages: Direct::new(frames, clock),
-            world_role: Box::new(WorldRole::new(world_options(cast, format, assigns))),
+            world_role: Box::new(WorldRole::new(WorldOptions {
+                absent,
+                ..world_options(cast, format, assigns)
+            })),
             world_cursor: DirectCursor::default(),
             allocator_role: Box::new(AllocatorRole::new(allocator)),
             allocator_cursor: DirectCursor::default(),
@@ -140,7 +157,7 @@ impl<'a, W: World> Stage<'a, W> {
                 .allocator_role
                 .join(&mut stage.messages.allocator(&mut stage.allocator_cursor))?;
         }
-        for agent in 0..agents {
+        for agent in (0..agents).filter(|agent| absent >> agent & 1 == 0) {
             stage.revive(agent)?;
             // There is room for a few statuses at a time.
             stage.poll_world(&mut Watch::default())?;
