@@ -106,7 +106,7 @@ function createDeeds() {
   byId("another").addEventListener("click", () => openEpisode(seed, number + 1));
 
   return function showDeeds(view) {
-    const { dead, absent } = episode.states[view.at];
+    const { dead, absent = [] } = episode.states[view.at];
     for (const element of document.querySelectorAll("#map [data-entity]")) {
       element.classList.toggle("dead", dead.includes(Number(element.dataset.entity)));
     }
