@@ -522,6 +522,10 @@ impl Oracle {
         } else if view.present().contains(agent) {
             self.silent[agent] += 1;
         }
+        if is_absent {
+            // Another process that takes the place is counted on at once, and may be silent as well.
+            self.silent[agent] = self.silent[agent].min(3);
+        }
         let is_wrong = if is_absent { before < 3 } else { before > SILENT_TICKS };
         let detail = || {
             let word = if is_absent { "absent" } else { "counted on" };
