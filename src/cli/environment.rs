@@ -197,7 +197,9 @@ impl Act for Scripted {
         {
             if !scenes.environment.scripted(scene.state, unassigned, random, actions) {
                 let name = scenes.environment.spec().name;
-                return Err(LearnError::Team(format!("`{name}` has no scripted team")));
+                let reason =
+                    format!("`{name}` has no scripted team: name a bundle or a training run");
+                return Err(LearnError::Misfit(reason));
             }
         }
         Ok(())

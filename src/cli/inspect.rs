@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::{ALLOCATOR, AgentGraph, Bundle, MANIFEST, Manifest, TRAINING, hex};
-use sortie_core::plan::{Normaliser, RobotFacts};
+use sortie_core::plan::{Normaliser, Profile, Proof, RobotFacts};
 use sortie_plans::{
     CompileError, CompileOptions, CompiledPolicy, InspectedOnnx, OnnxFacts, PlanFacts, PolicyFacts,
-    PolicyOptions, inspect_plan, read_onnx,
+    PolicyOptions, inspect_plan, is_plan, read_plan_or_onnx,
 };
 
 use crate::deployment::open_bundle;
@@ -22,9 +22,6 @@ use crate::tools::compiler;
 
 /// The name of the graph by which all agents decide.
 const OF_ALL: &str = "";
-
-/// First bytes of every plan.
-const PLAN_MAGIC: &[u8] = b"SORTIEPL";
 
 /// Show what a bundle, a plan, an ONNX file or a training run holds, after checking it
 #[derive(Debug, Args)]
@@ -71,8 +68,8 @@ pub(crate) fn run(arguments: &InspectArguments) -> Outcome {
         }
         return if is_run { run::inspect(path, json) } else { inspect_bundle(path, json) };
     }
-    let bytes = read_onnx(path).map_err(|error| Failure::file(path, &error))?;
-    if bytes.starts_with(PLAN_MAGIC) {
+    let bytes = read_plan_or_onnx(path).map_err(|error| Failure::file(path, &error))?;
+    if is_plan(&bytes) {
         arguments.refuse_policy()?;
         let facts = inspect_plan(&bytes);
         let facts = facts.map_err(|error| Failure::from(error).within(path.display()))?;
@@ -205,7 +202,14 @@ fn print_plan(facts: &PlanFacts) {
     row("features", facts.features.to_string());
     row("actions", facts.actions.to_string());
     row("multiply-adds", facts.macs.to_string());
-    row("largest_error", format!("{:.1e}", facts.max_rel_error));
+    match facts.proof {
+        Proof::Distance { max_distance, inputs } => {
+            let is_int8 = facts.profile == Profile::Int8.name();
+            let limit = if is_int8 { "" } else { " of at most 16" };
+            row("rounding", format!("{max_distance:.1}{limit}, on {inputs} inputs"));
+        }
+        Proof::Error { max_rel_error } => row("largest_error", format!("{max_rel_error:.1e}")),
+    }
     row("contract", facts.contract.clone());
     row("source", facts.source.clone());
     if let Some(agreement) = facts.policy.as_ref().and_then(|policy| policy.agreement.as_ref()) {

@@ -13,7 +13,8 @@ use sortie_ipc::{
     ServeSettings, Served, Stop,
 };
 use sortie_plans::{
-    Annex, CompileError, CompileOptions, FlatPolicy, OutputRole, PolicyAnswer, read_onnx,
+    Annex, CompileError, CompileOptions, FlatPolicy, OutputRole, PolicyAnswer, is_plan,
+    read_plan_or_onnx,
 };
 
 use crate::failure::{Exit, Failure, Outcome};
@@ -23,9 +24,6 @@ use crate::output::{Common, Table, print_json, say};
 use crate::policy::Backend;
 use crate::terminal::stop_on_signals;
 use crate::tools::{check_program, compiler, engines};
-
-/// What plans begin with.
-const PLAN: &[u8] = b"SORTIEPL";
 
 /// Serve a policy in shared memory: a robot's program sends observations and gets actions
 ///
@@ -96,8 +94,8 @@ struct Summary<'a> {
 
 pub(crate) fn run(arguments: &ServeArguments) -> Outcome {
     arguments.backend.prepare()?;
-    let bytes =
-        read_onnx(&arguments.policy).map_err(|error| Failure::file(&arguments.policy, &error))?;
+    let failed = |error| Failure::file(&arguments.policy, &error);
+    let bytes = read_plan_or_onnx(&arguments.policy).map_err(failed)?;
     let within = |failure: Failure| failure.within(arguments.policy.display());
     match arguments.backend {
         Backend::Plan => serve_plan(arguments, &bytes, &within),
@@ -123,7 +121,7 @@ fn serve_graph(
     bytes: &[u8],
     within: &dyn Fn(Failure) -> Failure,
 ) -> Outcome {
-    if bytes.starts_with(PLAN) {
+    if is_plan(bytes) {
         let message = "this is a plan; `--backend tract` runs the ONNX file that it was made of";
         return Err(within(Failure::new(Exit::Usage, message)));
     }
@@ -183,7 +181,7 @@ fn serve(
 
 /// The plan of a file: itself, or what the limited process compiles of it.
 fn plan_of(arguments: &ServeArguments, bytes: &[u8]) -> Result<AlignedBytes, Failure> {
-    if bytes.starts_with(PLAN) {
+    if is_plan(bytes) {
         return Ok(AlignedBytes::copy_of(bytes));
     }
     check_program()?;

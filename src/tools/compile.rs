@@ -287,10 +287,9 @@ fn print(
         report.arena_bytes_per_agent
     );
     say!(
-        "rounding {:.1}{}, largest error {:.1e}, on {} inputs, {} other actions",
-        report.max_distance.unwrap_or(0.0),
+        "rounding {:.1}{}, on {} inputs, {} other actions",
+        report.max_distance,
         if arguments.profile == PlanProfile::Int8 { "" } else { " of at most 16" },
-        report.max_rel_error,
         report.inputs,
         report.action_mismatches
     );

@@ -345,9 +345,12 @@ fn every_file_becomes_a_plan() {
     for (name, flags, ..) in FILES {
         let compile = ["compile", &onnx(name), "-o", &plan, "--json"];
         let report = json(&[&compile, flags].concat());
-        assert!(report["max_rel_error"].as_f64().is_some_and(|error| error < 1e-5), "{name}");
+        assert!(report["max_distance"].as_f64().is_some_and(|far| far <= 16.0), "{name}");
         let inspected = json(&["inspect", &plan, "--json"]);
         assert_eq!(inspected["network"], "policy", "{name}: {inspected}");
+        for key in ["max_distance", "inputs"] {
+            assert_eq!(inspected[key], report[key], "{name}: {inspected}");
+        }
     }
 }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use sortie_bundle::{hex, sha256};
-use sortie_core::plan::{HEADER_BYTES, Header, Profile, checksums};
+use sortie_core::plan::{HEADER_BYTES, Header, Profile, Proof, checksums};
 
 use crate::support::{BUNDLE, assert_fails, copied_bundle, json, output, stderr};
 
@@ -114,12 +114,29 @@ fn compiling_a_bundle_gives_it_the_plans_that_were_shipped() {
     }
 }
 
-/// A plan without the largest error beside the graph, in which processors differ by the last bits.
+/// A plan without its largest distance from the graph, in which processors differ by the last bits.
 fn unmeasured(path: &Path) -> (Header, Vec<u8>) {
     let plan = fs::read(path).expect("a plan");
     let (header, _) = Header::read(&plan).expect("its header");
-    assert!(header.max_error < 1e-5, "{}", header.max_error);
-    (Header { max_error: 0.0, ..header }, plan[HEADER_BYTES..].to_vec())
+    let Proof::Distance { max_distance, inputs } = header.proof else { panic!("{header:?}") };
+    assert!(max_distance > 0.1 && max_distance <= 16.0, "{header:?}");
+    let proof = Proof::Distance { max_distance: 0.0, inputs };
+    (Header { proof, ..header }, plan[HEADER_BYTES..].to_vec())
+}
+
+#[test]
+fn a_plan_is_inspected_by_the_measure_of_its_version() {
+    let shipped = format!("{BUNDLE}/agent.plan");
+    let before = "tests/golden/plans/agent-2.0.plan";
+    for (plan, word, key, other) in [
+        (shipped.as_str(), "rounding", "max_distance", "max_rel_error"),
+        (before, "largest_error", "max_rel_error", "max_distance"),
+    ] {
+        let facts = json(&["inspect", plan, "--json"]);
+        assert!(facts[key].is_number() && facts[other].is_null(), "{facts}");
+        let text = output(&["inspect", plan]);
+        assert!(String::from_utf8_lossy(&text.stdout).contains(word), "{plan}");
+    }
 }
 
 #[test]

@@ -20,7 +20,7 @@ def recorded(name):
 
 
 def assert_close(got, want):
-    """Within the tolerance of `sortie verify`: |a - b| <= 1e-5 (1 + |b|)."""
+    """|a - b| <= 1e-5 (1 + |b|)."""
     got, want = np.asarray(got, "f8"), np.asarray(want, "f8")
     assert got.shape == want.shape
     assert (np.abs(got - want) <= 1e-5 * (1 + np.abs(want))).all()

@@ -287,6 +287,9 @@ pub(crate) mod tests {
         assert!(relation.ends_with("beyond the entities or columns"), "{relation}");
         let agents = error(r#""agents":2"#, r#""agents":9"#);
         assert_eq!(agents, "allocation 0: the sizes do not fit each other");
-        assert!(error("[0,1],\"value\"", "[0,7],\"value\"").contains("7 where 2"));
+        for beyond in [2, 7] {
+            let team = format!("[0,{beyond}],\"value\"");
+            assert!(error("[0,1],\"value\"", &team).contains(&format!("{beyond} where 2")));
+        }
     }
 }

@@ -21,14 +21,20 @@ pub const MOST_TEXT_BYTES: u64 = 16 << 20;
 /// Reads a file of at most `most` bytes: a regular one, or what a pipe holds until its writers have gone.
 ///
 /// # Errors
-/// Those of the system; [`InvalidInput`](io::ErrorKind::InvalidInput) for devices and sockets, which may never end;
-/// [`FileTooLarge`](io::ErrorKind::FileTooLarge); [`Interrupted`](io::ErrorKind::Interrupted) where a signal comes while
-/// a pipe is waited for.
+/// Those of the system; [`IsADirectory`](io::ErrorKind::IsADirectory); [`InvalidInput`](io::ErrorKind::InvalidInput) for
+/// devices and sockets, which may never end; [`FileTooLarge`](io::ErrorKind::FileTooLarge); [`Interrupted`](io::ErrorKind::Interrupted) where a signal
+/// comes while a pipe is waited for.
 pub fn read_file(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let kind = fs::metadata(path)?.file_type();
-    if !kind.is_file() && !kind.is_fifo() && !kind.is_dir() {
-        let refused = "is a device or a socket, which is not read: name a file, or a pipe";
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, refused));
+    if !kind.is_file() && !kind.is_fifo() {
+        let (kind, what) = match kind.is_dir() {
+            true => (io::ErrorKind::IsADirectory, "a folder"),
+            false => (io::ErrorKind::InvalidInput, "a device or a socket"),
+        };
+        return Err(io::Error::new(
+            kind,
+            format!("is {what}, which is not read: name a file, or a pipe"),
+        ));
     }
     // Opening a pipe would wait for its writer, and no signal would end that.
     let flags = OFlags::NONBLOCK.bits().cast_signed();

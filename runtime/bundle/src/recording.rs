@@ -305,6 +305,21 @@ mod tests {
     }
 
     #[test]
+    fn a_header_that_says_more_than_can_be_handled_is_refused() {
+        let read = |features: usize, actions: usize| {
+            Recording::from_bytes(&Recording::new(1, features, actions).to_bytes())
+        };
+        assert!(read(limits::FEATURES, limits::ACTIONS).is_ok());
+        for (features, actions) in [(limits::FEATURES + 1, 1), (1, limits::ACTIONS + 1)] {
+            let refused = read(features, actions);
+            assert!(
+                matches!(refused, Err(RecordingError::Invalid { frame: 0, .. })),
+                "{refused:?}"
+            );
+        }
+    }
+
+    #[test]
     fn agents_of_one_step_share_a_frame_without_the_unused_columns() {
         let recording = recording();
         assert_eq!(recording.frames.len(), 4);

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use sortie_core::EntityMask;
+use sortie_core::{EntityMask, limits};
 
+use crate::files::MOST_BYTES;
 use crate::{
     AGENT, ALLOCATOR, AgentGraph, Bundle, BundleError, CARD, ContractV1, Draft, Environment,
     FallbackAllocation, GOLDEN, Golden, GoldenAllocation, GoldenCase, GoldenValue, Limits,
@@ -248,6 +249,28 @@ fn every_changed_or_missing_file_is_named() {
 }
 
 #[test]
+fn a_file_that_is_larger_than_any_bundles_is_refused() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("city");
+    draft().write(&folder).unwrap();
+    for name in [AGENT, GOLDEN, MANIFEST] {
+        let path = folder.join(name);
+        let file = fs::File::options().write(true).open(&path).unwrap();
+        let length = file.metadata().unwrap().len();
+        // Nothing is written: what lies behind the content is a hole.
+        file.set_len(MOST_BYTES + 1).unwrap();
+        match Bundle::open(&folder) {
+            Err(BundleError::TooLarge { path: named, bytes, max }) => {
+                assert_eq!((named, bytes, max), (path, MOST_BYTES + 1, MOST_BYTES));
+            }
+            other => panic!("{name}: {other:?}"),
+        }
+        file.set_len(length).unwrap();
+    }
+    assert!(Bundle::open(&folder).is_ok());
+}
+
+#[test]
 fn an_edited_manifest_is_refused_with_its_reason() {
     let home = tempfile::tempdir().unwrap();
     let folder = home.path().join("city");
@@ -264,6 +287,18 @@ fn an_edited_manifest_is_refused_with_its_reason() {
     assert!(refused("\"distance\"", "\"distance\", \"x\"").contains("2 feature names for 1"));
     assert!(refused("\"card.md\"", "\"../card.md\"").contains("not a plain file name"));
     assert!(refused("n_max = 11", "n_max = \"many\"").contains("cannot be read"));
+    assert!(refused("n_max = 11", "n_max = 0").contains("nothing is seen"));
+    for (limit, most) in [
+        ("n_max = 11", limits::ENTITIES),
+        ("t_max = 6", limits::TASKS),
+        ("team_max = 3", limits::AGENTS),
+    ] {
+        let (name, _) = limit.split_once(' ').unwrap();
+        let beyond = refused(limit, &format!("{name} = {}", most + 1));
+        assert!(beyond.contains(&format!("{name} = {} in [limits]", most + 1)), "{beyond}");
+        fs::write(&path, text.replace(limit, &format!("{name} = {most}"))).unwrap();
+        assert!(Bundle::open(&folder).is_ok(), "{limit}");
+    }
 }
 
 #[test]

@@ -46,7 +46,7 @@
 #define SORTIE_PLAN_FORMAT_MAJOR 2
 
 // Newest minor version of the plans that the library reads.
-#define SORTIE_PLAN_FORMAT_MINOR 2
+#define SORTIE_PLAN_FORMAT_MINOR 3
 
 // Bytes that a policy takes beside its arena and the places of its inputs and outputs. See `SORTIE_MEMORY_BYTES`.
 #define SORTIE_POLICY_BYTES 640

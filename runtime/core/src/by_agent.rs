@@ -107,10 +107,11 @@ mod tests {
     use crate::choose::masked_argmax;
     use crate::entity_mask::EntityMask;
 
-    /// Scores its actions from a number on, and remembers how often.
+    /// Scores its actions from a number on, and remembers how often in the first of its numbers.
     struct Counting {
         from: f32,
         actions: usize,
+        memory: usize,
     }
 
     impl Policy for Counting {
@@ -130,8 +131,14 @@ mod tests {
             self.decide_with(observation, &mut [0.0])
         }
 
+        /// Scores from 0 on from now on.
+        fn begin_episode(&mut self) -> bool {
+            self.from = 0.0;
+            self.memory > 1
+        }
+
         fn hidden(&self) -> usize {
-            1
+            self.memory
         }
 
         fn utilities_with(
@@ -159,8 +166,10 @@ mod tests {
         }
     }
 
-    const TEAM: [Counting; 2] =
-        [Counting { from: -5.0, actions: 2 }, Counting { from: 10.0, actions: 3 }];
+    const TEAM: [Counting; 2] = [
+        Counting { from: -5.0, actions: 2, memory: 1 },
+        Counting { from: 10.0, actions: 3, memory: 1 },
+    ];
 
     fn seen(self_index: usize, available: &[u16]) -> Observation<'_> {
         let visible = EntityMask::EMPTY;
@@ -197,6 +206,31 @@ mod tests {
         assert_eq!(decisions[0], Ok(Decision { action: 2, utility: 12.0 }));
         assert_eq!(decisions[1], Ok(Decision { action: 1, utility: 0.0 }));
         assert_eq!(hidden, [1.0, 5.0]);
+    }
+
+    #[test]
+    fn every_agent_has_room_for_the_largest_memory() {
+        let mut policies = TEAM;
+        policies[1].memory = 3;
+        let mut team = PolicyByAgent::new(&mut policies[..], &[0, 1][..], 3);
+        assert_eq!(team.hidden(), 3);
+        let (mut hidden, mut decisions) = ([0.0; 6], [Err(DecideError::BadLength); 2]);
+        team.decide_batch_with(&[seen(0, &[1; 3]), seen(1, &[1; 3])], &mut hidden, &mut decisions);
+        assert_eq!(decisions.map(|decision| decision.map(|it| it.action)), [Ok(1), Ok(2)]);
+        assert_eq!(hidden, [1.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn an_episode_begins_for_all_policies() {
+        for with_memory in [0, 1] {
+            let mut policies = TEAM;
+            policies[with_memory].memory = 2;
+            let mut team = PolicyByAgent::new(&mut policies[..], &[0, 1][..], 3);
+            assert!(team.begin_episode());
+            assert_eq!(policies.map(|policy| policy.from), [0.0; 2]);
+        }
+        let mut policies = TEAM;
+        assert!(!PolicyByAgent::new(&mut policies[..], &[0, 1][..], 3).begin_episode());
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Whether two engines give the same answers.
 
 use serde::Serialize;
+use sortie_core::plan::Proof;
 
 use crate::error::CompileError;
 
@@ -128,6 +129,12 @@ impl Comparison {
         let is_near = self.max_judged_error <= TOLERANCE
             && self.max_distance.is_none_or(|distance| distance <= MOST_DISTANCE);
         !self.judged || is_near && self.refusals_differ == 0
+    }
+
+    /// What a plan that was compared with the truth says of itself.
+    pub fn proof(&self) -> Proof {
+        let max_distance = self.max_distance.unwrap_or(0.0) as f32;
+        Proof::Distance { max_distance, inputs: u16::try_from(self.inputs).unwrap_or(u16::MAX) }
     }
 
     /// Adds an input by how far its numbers are, in scatters, beside their error. What is no number is further than any.

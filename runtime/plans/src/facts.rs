@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize, Serializer};
 use sortie_bundle::hex;
 use sortie_core::internal::checksum::crc32c;
-use sortie_core::plan::{AlignedBytes, Header, Network, Plan, RobotFacts};
+use sortie_core::plan::{AlignedBytes, Header, Network, Plan, Proof, RobotFacts};
 
 use crate::error::CompileError;
 use crate::policy::PolicyFacts;
@@ -75,8 +75,9 @@ pub struct PlanFacts {
     pub source: String,
     /// Hash of the contract.
     pub contract: String,
-    /// Largest measured error against the graph.
-    pub max_rel_error: f32,
+    /// How far its numbers were from the graph's, by the keys of [`crate::Report`] and [`crate::Comparison`].
+    #[serde(flatten)]
+    pub proof: Proof,
     /// Measured share of differing actions.
     pub action_mismatch: f32,
     /// Multiply-adds of one decision with all entities visible.
@@ -116,7 +117,7 @@ pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
         t_max: header.t_max,
         source: hex(&header.source),
         contract: format!("{:016x}", header.contract),
-        max_rel_error: header.max_error,
+        proof: header.proof,
         action_mismatch: header.action_mismatch,
         macs: operators.iter().map(|operator| operator.macs).sum(),
         operators,

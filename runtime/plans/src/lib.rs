@@ -61,7 +61,7 @@ pub use observations::{
     random_observations_of, random_policy_inputs, random_states, random_team_queries,
     random_team_queries_of,
 };
-pub use onnx_file::read_onnx;
+pub use onnx_file::{is_plan, read_onnx, read_plan_or_onnx};
 pub use options::{
     GraphNetworks, compare_with_golden_episodes, option_arena, option_networks, option_policy,
     options_over_graphs,

@@ -27,12 +27,30 @@ const VALUE: u64 = 2;
 /// The location of data in another file.
 const EXTERNAL: u64 = 1;
 
+/// Whether a file begins as a plan does.
+pub fn is_plan(file: &[u8]) -> bool {
+    file.starts_with(b"SORTIEPL")
+}
+
+/// Reads an ONNX file, as [`read_plan_or_onnx`] does.
+///
+/// # Errors
+/// Those of [`read_plan_or_onnx`], or if the file is a plan.
+pub fn read_onnx(path: &Path) -> io::Result<Vec<u8>> {
+    let file = read_plan_or_onnx(path)?;
+    if is_plan(&file) {
+        let what = "it is a plan, compiled already: name the ONNX file that it was made of";
+        return Err(io::Error::new(io::ErrorKind::InvalidData, what));
+    }
+    Ok(file)
+}
+
 /// Reads a file. An ONNX file whose weights lie in another file of its folder comes back with them inside.
 ///
 /// # Errors
 /// If one of the files cannot be read, or is of another format, or if the weights are said to lie outside of the folder,
 /// or where the other file has already ended.
-pub fn read_onnx(path: &Path) -> io::Result<Vec<u8>> {
+pub fn read_plan_or_onnx(path: &Path) -> io::Result<Vec<u8>> {
     let file = read_file(path, MOST)?;
     if let Some(what) = other_format(path, &file) {
         return Err(io::Error::new(io::ErrorKind::InvalidData, what));

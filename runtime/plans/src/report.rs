@@ -10,7 +10,7 @@ use crate::error::CompileError;
 use crate::team_policy::TeamSizes;
 
 /// The compiler's version; a plan of another version is compiled again.
-pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-4");
+pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-5");
 
 /// What the file alone does not say.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -70,11 +70,8 @@ pub struct Report {
     pub arena_bytes_per_agent: usize,
     /// Multiply-adds of one decision with all entities visible, zeros not left out.
     pub macs: u64,
-    /// Largest distance of a number from the network in double precision, in what 32 bits make right engines err there; none
-    /// where nothing was compared.
-    pub max_distance: Option<f64>,
-    /// Largest measured error, |a - b| / (1 + max |b|).
-    pub max_rel_error: f32,
+    /// Largest distance of a number from the network in double precision, in what 32 bits make right engines err there.
+    pub max_distance: f32,
     /// Observations for which plan and graph choose differently.
     pub action_mismatches: usize,
     /// Observations compared.
@@ -107,8 +104,7 @@ pub fn report(
         arena_bytes: program.arena_bytes() as usize,
         arena_bytes_per_agent: 4 * program.own_floats().unwrap_or(0) as usize,
         macs: operators.iter().map(|operator| operator.macs).sum(),
-        max_distance: comparison.max_distance,
-        max_rel_error: comparison.max_rel_error,
+        max_distance: comparison.max_distance.unwrap_or(0.0) as f32,
         action_mismatches: comparison.action_mismatches,
         inputs: comparison.inputs,
         operators,

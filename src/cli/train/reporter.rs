@@ -102,6 +102,7 @@ fn tell_of_allocator(session: &Session) {
     let steps = session.description().config.run.steps;
     let (learns, decides) = (HumanCount(learns), HumanCount(decides));
     tell!("the allocator learns from step {learns} on and decides from step {decides} on");
+    tell!("of two losses the first is the agents', the second the allocator's");
     if decides.0 >= steps {
         let steps = HumanCount(steps);
         tell!("warning: this run ends at step {steps}: its allocator will never have decided");

@@ -199,6 +199,14 @@ pub(crate) struct Wanted<'a> {
     pub(crate) policy: Option<&'a Path>,
 }
 
+impl Wanted<'_> {
+    /// What a page calls its subject: who gets the page sent need not know the folders above.
+    pub(crate) fn name(&self) -> String {
+        let whole = self.subject.as_os_str();
+        self.subject.file_name().unwrap_or(whole).to_string_lossy().into_owned()
+    }
+}
+
 pub(crate) struct Page {
     pub(crate) html: String,
     /// Steps of its episode.

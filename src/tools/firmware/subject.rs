@@ -11,7 +11,7 @@ use sortie_core::plan::{AlignedBytes, Header, Network, Plan, Profile};
 use sortie_core::{DecideError, EntityMask, Observation, PlanPolicy};
 use sortie_plans::{
     AgentPlans, Annex, CompileError, random_observations, random_policy_inputs, random_states,
-    read_onnx,
+    read_plan_or_onnx,
 };
 use sortie_stage::{UtilityHash, hash_of};
 
@@ -52,7 +52,7 @@ impl Named {
         if !path.is_file() {
             return Ok(Self::Bundle(Box::new(open_bundle(path)?)));
         }
-        let bytes = read_onnx(path).map_err(|error| Failure::file(path, &error))?;
+        let bytes = read_plan_or_onnx(path).map_err(|error| Failure::file(path, &error))?;
         let refused =
             |message: String| Err(Failure::new(Exit::Usage, message).within(path.display()));
         if path.extension().is_some_and(|end| end == "onnx") {

@@ -85,7 +85,7 @@ pub enum LearnError {
         /// The widest that there is.
         widest: String,
     },
-    /// A method cannot learn in an environment; the text says why.
+    /// A method or a team does not fit an environment; the text says why.
     #[error("{0}")]
     Misfit(String),
     /// The environment could not be set up.

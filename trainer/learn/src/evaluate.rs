@@ -239,6 +239,9 @@ mod tests {
     fn the_wilson_interval_agrees_with_known_values() {
         let [low, high] = wilson_interval(10, 20);
         assert!((low - 0.2993).abs() < 1e-3 && (high - 0.7007).abs() < 1e-3, "{low} {high}");
+        // Few successes: the middle lies nearer to a half than they do.
+        let [low, high] = wilson_interval(1, 10);
+        assert!((low - 0.0179).abs() < 1e-4 && (high - 0.4042).abs() < 1e-4, "{low} {high}");
         assert_eq!(wilson_interval(0, 0), [0.0, 1.0]);
         assert!(wilson_interval(20, 20)[1] <= 1.0);
     }

@@ -27,8 +27,8 @@ def verify(
 
     `npz` holds `in__NAME` for every input and `out__NAME` for every wanted output, cases along the first axis.
 
-    Returns the report. Raises DifferenceError where an answer differs by more than 1e-5 (1 + |b|), CompileError where
-    a file cannot be read.
+    Returns the report. Raises DifferenceError where an answer of the plan differs by more than the rounding of
+    float32 accounts for, CompileError where a file cannot be read.
     """
     command = [_compiler.program(), "verify", os.fspath(onnx), "--npz", os.fspath(npz), "--json"]
     command += [f"--output={name}" for name in outputs]

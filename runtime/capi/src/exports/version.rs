@@ -15,7 +15,7 @@ pub const SORTIE_VERSION_PATCH: u32 = 0;
 /// Major version of the plans that the library reads.
 pub const SORTIE_PLAN_FORMAT_MAJOR: u32 = 2;
 /// Newest minor version of the plans that the library reads.
-pub const SORTIE_PLAN_FORMAT_MINOR: u32 = 2;
+pub const SORTIE_PLAN_FORMAT_MINOR: u32 = 3;
 
 /// The version of the library that runs: major << 16 | minor << 8 | patch. Compare it with `SORTIE_VERSION` of the header.
 #[unsafe(no_mangle)]

@@ -4,7 +4,7 @@ mod policy;
 mod prove;
 
 use sortie_bundle::{Recording, sha256};
-use sortie_core::plan::{Network, Profile, Program, ProgramDraft};
+use sortie_core::plan::{Network, Profile, Program, ProgramDraft, Proof};
 use sortie_plans::{
     CompileError, CompileOptions, Compiled, NetworkFiles, NetworkSizes, ProposalFiles, report,
 };
@@ -90,13 +90,13 @@ fn finish(
             Network::Entities | Network::Proposals => groups as u16,
             _ => options.t_max,
         },
-        max_error: 0.0,
+        proof: Proof::NONE,
         action_mismatch: 0.0,
     };
     let draft = assemble(&program, &weights, sizes, &origin)?;
     let inputs = network.random_inputs(options.inputs, options.seed);
     let comparison = prove(&draft, graphs, inputs, options)?;
-    origin.max_error = comparison.max_rel_error;
+    origin.proof = comparison.proof();
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let bytes = assemble(&program, &weights, sizes, &origin)?;
     let program = program.to_bytes();

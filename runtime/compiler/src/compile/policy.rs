@@ -1,7 +1,7 @@
 //! The plan of a policy whoever exported it.
 
 use sortie_bundle::sha256;
-use sortie_core::plan::{AlignedBytes, Network, Profile, Program, RobotFacts};
+use sortie_core::plan::{AlignedBytes, Network, Profile, Program, Proof, RobotFacts};
 use sortie_plans::{
     Annex, Comparison, CompileError, CompileOptions, Compiled, CompiledPolicy, Distances,
     FlatPolicy, PlanFlatPolicy, PolicyAnswer, PolicyOptions, ProofCase, TeamSizes, TrueNumber,
@@ -64,14 +64,14 @@ pub(crate) fn compile_recorded_policy(
         network: Network::Policy,
         contract: options.contract.unwrap_or(0),
         t_max: 0,
-        max_error: 0.0,
+        proof: Proof::NONE,
         action_mismatch: 0.0,
     };
     let draft = AlignedBytes::copy_of(&assemble(&program, &weights, sizes, &origin)?);
     let mut plan = PlanFlatPolicy::load(draft.as_slice(), facts.clone())?;
     let mut truth = TruePolicy::open(graph)?;
     let comparison = prove_policy(&mut plan, &mut truth, options, recorded)?;
-    origin.max_error = comparison.max_rel_error;
+    origin.proof = comparison.proof();
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let mut bytes = assemble(&program, &weights, sizes, &origin)?;
     annex.append_to(&mut bytes)?;
@@ -91,7 +91,7 @@ pub(crate) fn prove_policy(
 ) -> Result<Comparison, CompileError> {
     let CompileOptions { inputs, seed, .. } = *options;
     let facts = plan.facts().clone();
-    let mut proof = Proof {
+    let mut proof = Proving {
         comparison: Comparison::new("plan against double precision"),
         distances: Distances::default(),
         unsure: 0,
@@ -132,7 +132,7 @@ fn recorded_at(index: usize, inputs: usize, recorded: &[ProofCase]) -> Option<&P
 }
 
 /// What a plan's answers are beside the truth.
-struct Proof {
+struct Proving {
     comparison: Comparison,
     distances: Distances,
     /// Inputs that tell nothing of the plan.
@@ -140,7 +140,7 @@ struct Proof {
     seed: u64,
 }
 
-impl Proof {
+impl Proving {
     /// Adds what both make of an input; the true next states are the next.
     fn add(
         &mut self,

@@ -10,7 +10,7 @@ mod rounding;
 mod tests;
 
 use sortie_core::plan::{
-    ALIGNMENT, HEADER_BYTES, Header, Network, Profile, Program, ProgramDraft, checksums,
+    ALIGNMENT, HEADER_BYTES, Header, Network, Profile, Program, ProgramDraft, Proof, checksums,
 };
 use sortie_plans::CompileError;
 
@@ -31,8 +31,7 @@ pub(crate) struct Origin {
     pub(crate) contract: u64,
     /// Most subtasks, 0 if none.
     pub(crate) t_max: u16,
-    /// Largest measured error against the graph.
-    pub(crate) max_error: f32,
+    pub(crate) proof: Proof,
     /// Measured share of differing actions.
     pub(crate) action_mismatch: f32,
 }
@@ -65,7 +64,7 @@ pub(crate) fn assemble(
         weights_len: weights.len() as u32,
         source: origin.source,
         contract: origin.contract,
-        max_error: origin.max_error,
+        proof: origin.proof,
         action_mismatch: origin.action_mismatch,
         profile: origin.profile,
         network: origin.network,

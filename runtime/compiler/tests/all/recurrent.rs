@@ -131,7 +131,7 @@ fn the_report_names_the_unit_and_its_state() {
     let names: Vec<&str> = report.operators.iter().map(|op| op.name.as_str()).collect();
     assert_eq!(names, ["EmbedEntities", "AttendOwn", "Dense", "Gru", "Dense", "MaskedArgmax"]);
     assert_eq!(report.operators[3].detail, "[8], state [8]");
-    assert!(report.max_rel_error < 1e-6, "{report:?}");
+    assert!(report.max_distance < 6.0, "{report:?}");
     let plan = inspect_plan(compiled(&onnx, None).as_slice()).unwrap();
     assert_eq!((plan.hidden, plan.features, plan.actions), (8, 5, 4));
     let facts = inspect_onnx(&onnx).unwrap();

@@ -5,6 +5,7 @@
 
 mod avx2;
 mod avx512;
+mod products;
 
 use super::int8::{
     Count, Inputs, Int8Kernels, Int8PatchLayer, IntegerRows, IntegerTiles, Lanes, Marked, Matrix,

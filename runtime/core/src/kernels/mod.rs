@@ -89,6 +89,11 @@ pub trait Kernels: Copy + Int8Kernels {
     /// Matrix times several vectors of which much is zero ([`several::sparse_products`]).
     fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>);
 
+    /// Vectors times a matrix that stands row after row ([`several::multiply`]).
+    fn multiply(self, vectors: &[f32], matrix: &[f32], sizes: [usize; 2], products: &mut [f32]) {
+        several::multiply_plainly(vectors, matrix, sizes, products);
+    }
+
     /// A layer on the patches of a picture.
     fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]);
 
@@ -171,6 +176,10 @@ impl<A: Arithmetic> Kernels for Portable<A> {
 
     fn sparse_products(self, weights: &[f32], pairs: &mut [Pair<'_>], around: Around<'_>) {
         several::sparse_products::<A>(weights, pairs, around, 0);
+    }
+
+    fn multiply(self, vectors: &[f32], matrix: &[f32], sizes: [usize; 2], products: &mut [f32]) {
+        several::multiply(self, vectors, matrix, sizes, products);
     }
 
     fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]) {

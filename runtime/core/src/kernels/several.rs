@@ -1,6 +1,8 @@
 //! One matrix times several vectors: weights are read once for all of them.
 
-use super::arithmetic::Arithmetic;
+use heapless::Vec;
+
+use super::arithmetic::{Arithmetic, Exact};
 use super::mark::{MARKED, mark};
 use super::product::{Around, add_row, finished, tile_width};
 
@@ -84,6 +86,55 @@ pub fn products<A: Arithmetic, R: AddRows>(
             }
         }
         column += width;
+    }
+}
+
+/// Writes the products of vectors, as long as `inner`, and a matrix that stands row after row, `columns` wide: any number
+/// of columns. Never fused, in no profile.
+#[inline(always)]
+pub fn multiply<R: AddRows>(
+    adder: R,
+    vectors: &[f32],
+    matrix: &[f32],
+    [inner, columns]: [usize; 2],
+    products: &mut [f32],
+) {
+    let Some(last) = columns.checked_sub(PART) else {
+        return multiply_plainly(vectors, matrix, [inner, columns], products);
+    };
+    let group = R::GROUP.min(MULTIPLIED);
+    let vectors = vectors.chunks(inner.saturating_mul(group).max(1));
+    for (vectors, products) in vectors.zip(products.chunks_mut(columns.saturating_mul(group))) {
+        let pairs = vectors.chunks_exact(inner.max(1)).zip(products.chunks_exact_mut(columns));
+        let pairs = pairs.map(|(inputs, outputs)| Pair { inputs, outputs });
+        let mut pairs: Vec<Pair<'_>, MULTIPLIED> = pairs.take(MULTIPLIED).collect();
+        // The last columns of all; counting some of them once more changes nothing.
+        for first in (0..last).step_by(PART).chain([last]) {
+            let strip = Strip { tile: matrix, width: columns, first };
+            add_strip::<Exact, R, 1>(adder, strip, first, &mut pairs, Around::NOTHING);
+        }
+    }
+}
+
+/// Most vectors that [`multiply`] works on together.
+const MULTIPLIED: usize = 8;
+
+/// As [`multiply`], without vectors of the processor.
+#[inline(always)]
+pub(super) fn multiply_plainly(
+    vectors: &[f32],
+    matrix: &[f32],
+    [inner, columns]: [usize; 2],
+    products: &mut [f32],
+) {
+    let rows = vectors.chunks_exact(inner.max(1)).zip(products.chunks_exact_mut(columns.max(1)));
+    for (vector, sums) in rows {
+        sums.fill(0.0);
+        for (input, row) in vector.iter().zip(matrix.chunks_exact(columns.max(1))) {
+            for (sum, weight) in sums.iter_mut().zip(row) {
+                *sum += input * weight;
+            }
+        }
     }
 }
 
@@ -246,7 +297,6 @@ pub(super) fn add_rows<A: Arithmetic, const PARTS: usize, const COUNT: usize>(
 mod tests {
     use super::*;
     use crate::kernels::Portable;
-    use crate::kernels::arithmetic::Exact;
     use crate::kernels::product::product;
     use std::vec::Vec;
 

@@ -67,6 +67,49 @@ fn zeros_are_left_out_of_several_vectors() {
     }
 }
 
+/// Vectors times a matrix that stands row after row.
+struct Multiplied {
+    inputs: usize,
+    outputs: usize,
+    count: usize,
+}
+
+impl Work for Multiplied {
+    type Output = Vec<u32>;
+
+    fn run(self, kernels: impl Kernels) -> Self::Output {
+        let Self { inputs, outputs, count } = self;
+        let (matrix, vectors) = (numbers(inputs * outputs, 7), numbers(inputs * count, 8));
+        let mut products = vec![f32::NAN; outputs * count];
+        kernels.multiply(&vectors, &matrix, [inputs, outputs], &mut products);
+        bits(&products)
+    }
+}
+
+#[test]
+fn plain_matrices_are_multiplied_in_order_and_never_fused() {
+    for (inputs, outputs, count) in [(1, 1, 1), (5, 15, 3), (16, 49, 7), (49, 16, 8), (3, 40, 13)] {
+        let work = || Multiplied { inputs, outputs, count };
+        let (matrix, vectors) = (numbers(inputs * outputs, 7), numbers(inputs * count, 8));
+        let sum = |vector: &[f32], column: usize| {
+            let weights = matrix[column..].iter().step_by(outputs);
+            vector.iter().zip(weights).fold(0.0, |sum, (input, weight)| sum + input * weight)
+        };
+        let rows = vectors.chunks(inputs);
+        let want: Vec<f32> =
+            rows.flat_map(|row| (0..outputs).map(move |column| sum(row, column))).collect();
+        for build in Build::all() {
+            assert_eq!(
+                build.run::<Exact, _>(work()),
+                bits(&want),
+                "{build:?}, {inputs} x {outputs}"
+            );
+            let fused = build.fuses().then(|| build.run::<Fused, _>(work()));
+            assert_eq!(fused.unwrap_or(bits(&want)), bits(&want), "{build:?}, fused profile");
+        }
+    }
+}
+
 /// Attention of heads to some of the rows of two matrices; none where a build has nothing for several heads.
 struct Attending {
     width: usize,

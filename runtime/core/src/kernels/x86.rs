@@ -154,6 +154,11 @@ macro_rules! build {
             }
 
             #[inline]
+            fn multiply(self, vectors: &[f32], matrix: &[f32], sizes: [usize; 2], products: &mut [f32]) {
+                unsafe { $module::multiply::<A>(self, vectors, matrix, sizes, products) }
+            }
+
+            #[inline]
             fn convolve(self, layer: &PatchLayer<'_>, from: &[f32], to: &mut [f32]) {
                 unsafe { $module::convolve::<A>(self, layer, from, to) }
             }
@@ -274,6 +279,17 @@ macro_rules! build {
                 around: Around<'_>,
             ) {
                 $vectors::sparse_products::<A>(weights, pairs, around);
+            }
+
+            #[target_feature(enable = $features)]
+            pub(super) fn multiply<A>(
+                kernels: $name<A>,
+                vectors: &[f32],
+                matrix: &[f32],
+                sizes: [usize; 2],
+                products: &mut [f32],
+            ) {
+                several::multiply(kernels, vectors, matrix, sizes, products);
             }
 
             #[target_feature(enable = $features)]

@@ -89,6 +89,15 @@ fn options_end_with_milestones_and_with_their_time_and_what_was_missed_waits() {
 }
 
 #[test]
+fn of_several_milestones_what_rises_counts() {
+    let reached = |before: [f32; 2], now: [f32; 2]| rules().reached(&before, &now);
+    assert_eq!(reached([2.0, 0.0], [0.0, 1.0]), Some(1));
+    assert_eq!(reached([0.0, 0.0], [1.0, 1.0]), Some(0));
+    assert_eq!(reached([2.0, 1.0], [0.0, 1.0]), Some(2));
+    assert_eq!(reached([2.0, 1.0], [1.0, 0.0]), None);
+}
+
+#[test]
 fn varied_play_answers_what_is_met_again_otherwise() {
     let mut policy = policy(rules(), NETWORKS);
     let mut memory = vec![0.0; policy.hidden()];

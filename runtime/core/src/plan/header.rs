@@ -6,11 +6,13 @@ use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 128;
 /// The plan format of this build: major, minor. It reads the same major up to the same minor.
-pub const VERSION: (u16, u16) = (2, 2);
+pub const VERSION: (u16, u16) = (2, 3);
 /// Alignment of the weights inside a plan and of the arena, in bytes.
 pub const ALIGNMENT: usize = 64;
 
 const MAGIC: [u8; 8] = *b"SORTIEPL";
+/// The minor version from which on plans say their distance from the network in double precision.
+const PROOF_MINOR: u16 = 3;
 const ENDIAN_PROBE: u32 = 0x0102_0304;
 /// Where the checksum of header and program stands.
 pub(super) const CRC_OFFSET: usize = 60;
@@ -47,6 +49,27 @@ pub enum Network {
     Policy,
 }
 
+/// How far a plan's numbers were from its network's when it was compiled, on the processor that did: on other ones the last
+/// bits of the measure differ.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "std", derive(serde::Serialize), serde(untagged))]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Proof {
+    /// From the network in double precision, in what the rounding of f32 makes right engines err in that very number:
+    /// what plans say since format 2.3.
+    Distance {
+        /// Largest of any number. At most 16, but for int8 plans: they are judged by their actions.
+        max_distance: f32,
+        /// Inputs compared, 65,535 where there were more; 0 where nothing was proved.
+        inputs: u16,
+    },
+    /// From the network in f32: what plans say up to format 2.2.
+    Error {
+        /// Largest |a - b| / (1 + max |b|).
+        max_rel_error: f32,
+    },
+}
+
 /// The header of a plan; magic, version, byte order and checksums are checked and not kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -77,8 +100,8 @@ pub struct Header {
     pub source: [u8; 32],
     /// Hash of the contract that the policy was trained for, 0 if unknown.
     pub contract: u64,
-    /// Largest measured error against the source graph: |a - b| / (1 + max |b|).
-    pub max_error: f32,
+    /// How far its numbers were from the source graph's.
+    pub proof: Proof,
     /// Measured share of inputs for which the chosen action differed from the source graph's.
     pub action_mismatch: f32,
     /// How the plan computes.
@@ -119,12 +142,13 @@ impl Header {
         let checksums = Checksums { program: fields.u32()?, weights: fields.u32()? };
         let source = fields.next()?;
         let contract = u64::from_le_bytes(fields.next()?);
-        let max_error = f32::from_le_bytes(fields.next()?);
+        let measure = f32::from_le_bytes(fields.next()?);
         let action_mismatch = f32::from_le_bytes(fields.next()?);
         let [profile, network] = fields.next()?;
         let t_max = fields.u16()?;
         let arena_bytes_per_agent = fields.u32()?;
-        let [skip] = fields.next()?;
+        let [skip, _] = fields.next()?;
+        let inputs = fields.u16()?;
         let header = Self {
             layout,
             arena_bytes,
@@ -139,7 +163,11 @@ impl Header {
             weights_len,
             source,
             contract,
-            max_error,
+            proof: if minor < PROOF_MINOR {
+                Proof::Error { max_rel_error: measure }
+            } else {
+                Proof::Distance { max_distance: measure, inputs }
+            },
             action_mismatch,
             profile: Profile::from_id(profile)?,
             network: Network::from_id(network)?,
@@ -167,7 +195,11 @@ impl Header {
         };
         put(&MAGIC);
         put(&VERSION.0.to_le_bytes());
-        put(&self.network.minor().max(self.profile.minor()).to_le_bytes());
+        let (minor, measure, inputs) = match self.proof {
+            Proof::Distance { max_distance, inputs } => (PROOF_MINOR, max_distance, inputs),
+            Proof::Error { max_rel_error } => (PROOF_MINOR - 1, max_rel_error, 0),
+        };
+        put(&minor.to_le_bytes());
         let sizes = [
             ENDIAN_PROBE,
             self.layout,
@@ -187,12 +219,13 @@ impl Header {
         sizes.iter().for_each(|size| put(&size.to_le_bytes()));
         put(&self.source);
         put(&self.contract.to_le_bytes());
-        put(&self.max_error.to_le_bytes());
+        put(&measure.to_le_bytes());
         put(&self.action_mismatch.to_le_bytes());
         put(&[self.profile.id(), self.network.id()]);
         put(&self.t_max.to_le_bytes());
         put(&self.arena_bytes_per_agent.to_le_bytes());
-        put(&[u8::from(self.skip)]);
+        put(&[u8::from(self.skip), 0]);
+        put(&inputs.to_le_bytes());
         bytes
     }
 }
@@ -233,6 +266,11 @@ const fn word(plan: &[u8], offset: usize) -> usize {
     u32::from_le_bytes(*field) as usize
 }
 
+impl Proof {
+    /// Of a plan that was compared with nothing.
+    pub const NONE: Self = Self::Distance { max_distance: 0.0, inputs: 0 };
+}
+
 impl Profile {
     /// The profile's name, for people and scripts.
     pub const fn name(self) -> &'static str {
@@ -249,14 +287,6 @@ impl Profile {
             Self::Exact => 0,
             Self::Fused => 1,
             Self::Int8 => 2,
-        }
-    }
-
-    /// As [`Network::minor`].
-    const fn minor(self) -> u16 {
-        match self {
-            Self::Int8 => 2,
-            _ => 0,
         }
     }
 
@@ -279,14 +309,6 @@ impl Profile {
 }
 
 impl Network {
-    /// The oldest minor version that reads such plans: they say that one, so that older builds go on reading them.
-    const fn minor(self) -> u16 {
-        match self {
-            Self::Policy => 1,
-            _ => 0,
-        }
-    }
-
     /// The network's name, for people and scripts.
     pub const fn name(self) -> &'static str {
         match self {

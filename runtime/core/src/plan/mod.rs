@@ -28,7 +28,7 @@ pub use aligned::AlignedBytes;
 #[doc(hidden)]
 pub use draft::ProgramDraft;
 pub use error::{Part, PlanError};
-pub use header::{ALIGNMENT, Header, Network, Profile, VERSION, arena_bytes};
+pub use header::{ALIGNMENT, Header, Network, Profile, Proof, VERSION, arena_bytes};
 #[doc(hidden)]
 pub use header::{Checksums, HEADER_BYTES};
 pub use in_place::Aligned;

@@ -16,7 +16,7 @@ use std::vec::Vec;
 
 use super::{
     ALIGNMENT, AlignedBytes, HEADER_BYTES, Header, Network, Plan, PlanError, Profile, Program,
-    ProgramDraft, checksums,
+    ProgramDraft, Proof, checksums,
 };
 use crate::kernels::build::Build;
 use crate::kernels::mark::MARKED;
@@ -198,7 +198,7 @@ fn assemble(
         weights_len: weights.len() as u32,
         source: [0; 32],
         contract: 0,
-        max_error: 0.0,
+        proof: Proof::NONE,
         action_mismatch: 0.0,
         profile,
         network: Network::Agent,

@@ -3,10 +3,11 @@
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::GumbelDraw;
 use sortie_core::internal::kernels::build::Build;
-use sortie_core::plan::{Aligned, Plan, PlanError, arena_bytes};
+use sortie_core::plan::{Aligned, Plan, PlanError, Proof, arena_bytes};
 use sortie_core::{AllocationState, DecideError, EntityMask, NO_ACTION, Observation, include_plan};
 
 const AGENT: &[u8] = include_plan!("../../../../tests/golden/plans/agent-2.0.plan");
+const PROVED: &[u8] = include_plan!("../../../../tests/golden/plans/agent-2.3.plan");
 const INT8: &[u8] = include_plan!("../../../../tests/golden/plans/agent-int8-2.2.plan");
 const ODD_SIZES: &[u8] = include_plan!("../../../../tests/golden/plans/agent-odd-sizes-2.0.plan");
 const SKIP: &[u8] = include_plan!("../../../../tests/golden/plans/agent-skip-2.0.plan");
@@ -90,6 +91,18 @@ fn decisions<const ARENA: usize>(bytes: &[u8]) -> String {
 fn an_agent_decides_as_recorded() {
     let want = include_str!("../../../../tests/golden/plans/agent-2.0.txt");
     assert_eq!(decisions::<{ arena_bytes(AGENT) }>(AGENT), want);
+    assert_eq!(decisions::<{ arena_bytes(PROVED) }>(PROVED), want);
+}
+
+#[test]
+fn plans_say_how_far_they_are_from_their_network_by_the_measure_of_their_version() {
+    let proof = |bytes| Plan::load(bytes).expect("a golden plan").header().proof;
+    let Proof::Distance { max_distance, inputs } = proof(PROVED) else { panic!("another measure") };
+    assert!(max_distance > 0.1 && max_distance < 6.0 && inputs == 256, "{max_distance}, {inputs}");
+    for before in [AGENT, POLICY_IN_TEAM, INT8] {
+        let Proof::Error { max_rel_error } = proof(before) else { panic!("another measure") };
+        assert!(max_rel_error > 0.0 && max_rel_error < 1e-3, "{max_rel_error}");
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use sortie_core::internal::ops::{
     Patches, Place, Reduce, Reduction, Select, Softmax, State,
 };
 use sortie_core::operators::OpKind;
-use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, VERSION};
+use sortie_core::plan::{Checksums, HEADER_BYTES, Header, Network, Plan, Profile, Proof, VERSION};
 
 const DOCUMENT: &str = include_str!("../../../../docs/reference/plan-format.md");
 const INT8: &[u8] = include_plan!("../../../../tests/golden/plans/agent-int8-2.2.plan");
@@ -41,7 +41,7 @@ fn header() -> ([u8; HEADER_BYTES], Vec<(&'static str, Vec<u8>)>) {
         weights_len: 56,
         source: [68; 32],
         contract: 100,
-        max_error: 108.0,
+        proof: Proof::Distance { max_distance: 108.0, inputs: 126 },
         action_mismatch: 112.0,
         profile: Profile::Exact,
         network: Network::TeamValue,
@@ -53,7 +53,7 @@ fn header() -> ([u8; HEADER_BYTES], Vec<(&'static str, Vec<u8>)>) {
     let fields = vec![
         ("magic", b"SORTIEPL".to_vec()),
         ("major", VERSION.0.to_le_bytes().to_vec()),
-        ("minor", vec![0; 2]),
+        ("minor", VERSION.1.to_le_bytes().to_vec()),
         ("endian", vec![4, 3, 2, 1]),
         ("layout", word(header.layout)),
         ("arena_bytes", word(header.arena_bytes)),
@@ -70,14 +70,15 @@ fn header() -> ([u8; HEADER_BYTES], Vec<(&'static str, Vec<u8>)>) {
         ("weights_checksum", word(checksums.weights)),
         ("source", header.source.to_vec()),
         ("contract", header.contract.to_le_bytes().to_vec()),
-        ("max_error", header.max_error.to_le_bytes().to_vec()),
+        ("max_distance", 108_f32.to_le_bytes().to_vec()),
         ("action_mismatch", header.action_mismatch.to_le_bytes().to_vec()),
         ("profile", vec![header.profile.id()]),
         ("network", vec![header.network.id()]),
         ("t_max", header.t_max.to_le_bytes().to_vec()),
         ("arena_bytes_per_agent", word(header.arena_bytes_per_agent)),
         ("skip", vec![u8::from(header.skip)]),
-        ("reserved", vec![0; 3]),
+        ("reserved", vec![0]),
+        ("inputs", 126_u16.to_le_bytes().to_vec()),
     ];
     (header.to_bytes(checksums), fields)
 }

@@ -81,8 +81,11 @@ pub(super) fn create_directory(domain: &Domain) -> Result<(), Error> {
 pub(crate) fn check_ownership(domain: &Domain) -> Result<(), Error> {
     for own in [domain.own_parent(), Some(domain.base())].into_iter().flatten() {
         let Some(found) = metadata(own)? else { continue };
-        if found.uid() != domain.uid || !found.is_dir() {
+        if found.uid() != domain.uid {
             return Err(foreign(own, found.uid()));
+        }
+        if !found.is_dir() {
+            return Err(directory(own, "is no directory: have it removed"));
         }
         if found.mode() & OTHERS != 0 {
             let problem = format!("is open to other users: `chmod 700 {}`", own.display());
@@ -117,7 +120,7 @@ fn metadata(path: &Path) -> Result<Option<fs::Metadata>, Error> {
 
 fn foreign(path: &Path, uid: u32) -> Error {
     let problem = format!(
-        "belongs to user {uid}, or is no directory: have it removed, or set `SORTIE_BASE` to a directory of your own on tmpfs"
+        "belongs to user {uid}, and a domain is one user's alone: run as that user, or set `SORTIE_BASE` to a directory of your own on tmpfs"
     );
     directory(path, problem)
 }

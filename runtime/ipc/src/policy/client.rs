@@ -3,14 +3,15 @@
 use std::time::Duration;
 
 use sortie_core::link::{Clock, Wake};
-use sortie_core::wire::{AnswerHead, AnswerStatus, ObservationHead, Reason, ServedFormat};
+use sortie_core::wire::MessageError;
 
+use super::asking::{Action, Asking, ClientCounters, Line};
 use super::schema::ServedFacts;
 use super::{Expected, Fallback, PolicySchema};
 use crate::domain::{Domain, Lock, Membership, nanoseconds};
 use crate::error::Error;
 use crate::iox::{AnyThread, InterProcess, LinkService, ServedLink, ServedSetup, served_bytes};
-use crate::processes::{HEARTBEAT_NS, LINGER};
+use crate::processes::LINGER;
 use crate::stop::MonotonicClock;
 
 /// Pause between two looks for a server.
@@ -36,41 +37,6 @@ impl Default for ClientSettings {
     }
 }
 
-/// What a client met since its start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ClientCounters {
-    /// Answers of the policy, late ones among them.
-    pub answered: u64,
-    /// Answers of the policy that were sent after the deadline and still waited for.
-    pub late: u64,
-    /// Fallbacks, the server's and its own.
-    pub fallbacks: u64,
-    /// Observations without any answer in time.
-    pub silent: u64,
-    /// Answers to earlier observations: they came too late.
-    pub overdue: u64,
-    /// Messages that are no answers of this policy.
-    pub foreign: u64,
-    /// Times that the server has lost the recurrent state within an episode.
-    pub lost_states: u64,
-}
-
-/// What a robot is to do.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Action<'a> {
-    /// Whether it is the policy's, or the fallback.
-    pub status: AnswerStatus,
-    /// Why it is the fallback.
-    pub reason: Reason,
-    /// The action; `None` where the policy does not choose, or none is available.
-    pub action: Option<u16>,
-    /// All outputs, one behind the other.
-    pub outputs: &'a [f32],
-    /// The server began within the episode with a new recurrent state: it was started anew. Said once, also where its
-    /// first answer came too late.
-    pub lost_state: bool,
-}
-
 /// A connection to the server of a domain. It outlives servers: while there is none, every decision is the
 /// fallback, and the next server goes on with the episode from a new recurrent state.
 ///
@@ -78,22 +44,7 @@ pub struct Action<'a> {
 pub struct PolicyClient<S: LinkService = InterProcess> {
     link: ServedLink<S>,
     schema: PolicySchema,
-    format: ServedFormat,
-    deadline_ns: u64,
-    fallback: Fallback,
-    session: u64,
-    seq: u64,
-    episode: u32,
-    /// The episode's first observation.
-    first_seq: u64,
-    /// Whether the policy has answered in this episode.
-    is_remembered: bool,
-    /// Whether it has then lost the episode's state, which is not told yet.
-    lost_state: bool,
-    /// What was done last.
-    outputs: Vec<f32>,
-    action: Option<u16>,
-    counters: ClientCounters,
+    asking: Asking,
     _seat: Lock,
     /// Dropped last.
     _membership: Membership,
@@ -143,21 +94,11 @@ impl<S: LinkService> PolicyClient<S> {
             ServedLink::client(&ServedSetup { domain, format, linger })?
         };
         let deadline = settings.deadline.unwrap_or_else(|| facts.deadline());
+        // One client after the other: no two of them start at the same time.
+        let session = MonotonicClock.now_ns();
         Ok(Self {
             link,
-            format,
-            deadline_ns: nanoseconds(deadline),
-            fallback,
-            // One client after the other: no two of them start at the same time.
-            session: MonotonicClock.now_ns(),
-            seq: 0,
-            episode: 0,
-            first_seq: 1,
-            is_remembered: false,
-            lost_state: false,
-            outputs: vec![0.0; format.outputs()],
-            action: None,
-            counters: ClientCounters::default(),
+            asking: Asking::new(format, deadline, fallback, session),
             schema: facts.schema,
             _seat: seat,
             _membership: membership,
@@ -171,20 +112,17 @@ impl<S: LinkService> PolicyClient<S> {
 
     /// What happened since the start.
     pub fn counters(&self) -> ClientCounters {
-        self.counters
+        self.asking.counters()
     }
 
     /// Waits so long for every answer from now on.
     pub fn set_deadline(&mut self, deadline: Duration) {
-        self.deadline_ns = nanoseconds(deadline);
+        self.asking.set_deadline(deadline);
     }
 
     /// The next observation begins an episode: the recurrent state starts anew.
     pub fn begin_episode(&mut self) {
-        self.episode = self.episode.wrapping_add(1);
-        self.first_seq = self.seq + 1;
-        self.is_remembered = false;
-        self.lost_state = false;
+        self.asking.begin_episode();
     }
 
     /// What to do on these inputs, in the order of the schema; `available` `[U]` has 0 for actions that are not
@@ -210,26 +148,7 @@ impl<S: LinkService> PolicyClient<S> {
         goes_on: &mut dyn FnMut() -> bool,
     ) -> Result<Action<'_>, Error> {
         self.check(inputs, available)?;
-        self.seq += 1;
-        let t_ns = MonotonicClock.now_ns();
-        let deadline_ns = t_ns.saturating_add(self.deadline_ns);
-        let Self { session, seq, episode, format, .. } = *self;
-        let head =
-            ObservationHead { session, seq, t_ns, deadline_ns, episode, ..Default::default() };
-        let sent = self.link.send(|to| format.write_observation(&head, inputs, available, to));
-        let answer = match sent {
-            Ok(()) => self.await_answer(deadline_ns, goes_on)?,
-            Err(_) => None,
-        };
-        let (status, reason) = match answer {
-            Some(answer) => self.take(&answer, available),
-            None => {
-                self.counters.silent += 1;
-                self.fall_back(Reason::Silence, available)
-            }
-        };
-        let lost_state = std::mem::take(&mut self.lost_state);
-        Ok(Action { status, reason, action: self.action, outputs: &self.outputs, lost_state })
+        self.asking.decide(&self.link, inputs, available, goes_on)
     }
 
     fn check(&self, inputs: &[&[f32]], available: &[u16]) -> Result<(), Error> {
@@ -246,87 +165,31 @@ impl<S: LinkService> PolicyClient<S> {
         };
         Err(Error::BadObservation { problem })
     }
+}
 
-    /// Waits for the answer to the newest observation, and copies its outputs.
-    fn await_answer(
-        &mut self,
-        deadline_ns: u64,
-        goes_on: &mut dyn FnMut() -> bool,
-    ) -> Result<Option<AnswerHead>, Error> {
-        loop {
-            let token = self.link.token();
-            if let Some(answer) = self.look() {
-                return Ok(Some(answer));
-            }
-            let now_ns = MonotonicClock.now_ns();
-            if now_ns >= deadline_ns {
-                return Ok(None);
-            }
-            let heartbeat_ns = now_ns.saturating_add(HEARTBEAT_NS);
-            let woken = self.link.wait(token, deadline_ns.min(heartbeat_ns));
-            if woken == Wake::Timeout && heartbeat_ns < deadline_ns && !goes_on() {
-                return Err(Error::Interrupted);
-            }
-        }
-    }
-
-    fn look(&mut self) -> Option<AnswerHead> {
-        // A topic that fails is silent.
-        while let Some(message) = self.link.receive().ok().flatten() {
-            let Ok(answer) = self.format.read_answer(message.payload()) else {
-                self.counters.foreign += 1;
-                continue;
-            };
-            let AnswerHead { session, seq, .. } = *answer.head;
-            if session == self.session && seq >= self.first_seq {
-                let lost_state = self.is_remembered && answer.head.has(AnswerHead::STATE_RESET);
-                self.lost_state |= lost_state;
-                self.counters.lost_states += u64::from(lost_state);
-                self.is_remembered = true;
-            }
-            if (session, seq) != (self.session, self.seq) {
-                self.counters.overdue += 1;
-                continue;
-            }
-            if answer.head.status != AnswerStatus::Refused as u16 {
-                self.outputs.copy_from_slice(answer.outputs);
-            }
-            return Some(*answer.head);
-        }
-        None
-    }
-
-    /// Does what the server says; what it refuses, or says in numbers that mean nothing, is the fallback.
-    fn take(&mut self, answer: &AnswerHead, available: &[u16]) -> (AnswerStatus, Reason) {
-        let reason = Reason::from_number(answer.reason).unwrap_or(Reason::Policy);
-        match AnswerStatus::from_number(answer.status) {
-            Some(AnswerStatus::Refused) | None => self.fall_back(reason, available),
-            Some(_) if !is_available(answer.action, available) => {
-                self.fall_back(Reason::Policy, available)
-            }
-            Some(status) => {
-                let is_fallback = status == AnswerStatus::Fallback;
-                self.counters.fallbacks += u64::from(is_fallback);
-                self.counters.answered += u64::from(!is_fallback);
-                self.counters.late += u64::from(status == AnswerStatus::Late);
-                self.action = u16::try_from(answer.action).ok();
-                (status, reason)
-            }
-        }
-    }
-
-    fn fall_back(&mut self, reason: Reason, available: &[u16]) -> (AnswerStatus, Reason) {
-        self.counters.fallbacks += 1;
-        self.action = self.fallback.apply(&mut self.outputs, self.action, available);
-        (AnswerStatus::Fallback, reason)
+impl<S: LinkService> Clock for ServedLink<S> {
+    fn now_ns(&self) -> u64 {
+        MonotonicClock.now_ns()
     }
 }
 
-/// Whether an action may be taken; -1 where none may.
-fn is_available(action: i32, available: &[u16]) -> bool {
-    match usize::try_from(action) {
-        Ok(action) => available.get(action).is_some_and(|&code| code != 0),
-        Err(_) => action == -1 && available.iter().all(|&code| code == 0),
+impl<S: LinkService> Line for ServedLink<S> {
+    fn send(&self, write: impl FnOnce(&mut [u8]) -> Result<(), MessageError>) -> Result<(), Error> {
+        self.send(write)
+    }
+
+    fn receive<T>(&self, read: impl FnOnce(&[u8]) -> T) -> Option<T> {
+        // A topic that fails is silent.
+        let message = self.receive().ok().flatten()?;
+        Some(read(message.payload()))
+    }
+
+    fn token(&self) -> u32 {
+        self.token()
+    }
+
+    fn wait(&self, token: u32, until_ns: u64) -> Wake {
+        self.wait(token, until_ns)
     }
 }
 

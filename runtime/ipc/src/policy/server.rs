@@ -120,6 +120,7 @@ impl PolicyServer {
         self.settings.real_time.claim()?;
         stop.wakes(self.link.waker());
         let mut serving = Serving {
+            clock: MonotonicClock,
             decider,
             format: self.format,
             fallback: self.settings.fallback,
@@ -183,7 +184,8 @@ struct Client {
     seq: u64,
 }
 
-struct Serving<'e> {
+struct Serving<'e, C = MonotonicClock> {
+    clock: C,
     decider: Decider<'e>,
     format: ServedFormat,
     fallback: Fallback,
@@ -196,10 +198,10 @@ struct Serving<'e> {
     counters: ServeCounters,
 }
 
-impl Serving<'_> {
+impl<C: Clock> Serving<'_, C> {
     /// Answers one message. Whoever sent it may be gone.
     fn answer(&mut self, link: &ServedLink, bytes: &[u8]) -> Option<Served> {
-        let woken_ns = MonotonicClock.now_ns();
+        let woken_ns = self.clock.now_ns();
         let (head, served) = match self.format.read_observation(bytes) {
             Ok(observation) => self.decide(&observation, woken_ns),
             Err(error) => {
@@ -211,8 +213,8 @@ impl Serving<'_> {
                 (head, Served { seq, status, wake_ns, decide_ns: 0 })
             }
         };
+        let head = AnswerHead { t_ns: self.clock.now_ns(), ..head };
         let Self { format, outputs, counters, .. } = self;
-        let head = AnswerHead { t_ns: MonotonicClock.now_ns(), ..head };
         let sent = link.send(|to| format.write_answer(&head, outputs, to));
         counters.failed_sends += u64::from(sent.is_err());
         Some(served)
@@ -235,7 +237,7 @@ impl Serving<'_> {
                 (AnswerStatus::Fallback, reason)
             }
         };
-        let now_ns = MonotonicClock.now_ns();
+        let now_ns = self.clock.now_ns();
         let is_late = status == AnswerStatus::Answered && now_ns > asked.deadline_ns;
         self.counters.late += u64::from(is_late);
         let status = if is_late { AnswerStatus::Late } else { status };
@@ -400,4 +402,128 @@ pub struct Served {
     pub wake_ns: u64,
     /// The decision alone.
     pub decide_ns: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::super::Port;
+    use super::*;
+
+    /// A clock that stands still until somebody sets it.
+    #[derive(Default)]
+    struct Held(Cell<u64>);
+
+    impl Clock for &Held {
+        fn now_ns(&self) -> u64 {
+            self.0.get()
+        }
+    }
+
+    /// Scores two actions by a number and by its negative; takes ten nanoseconds for it.
+    struct Slow<'c>(&'c Held);
+
+    impl Engine for Slow<'_> {
+        fn respond(
+            &mut self,
+            inputs: &[&[f32]],
+            _: &mut [f32],
+            outputs: &mut [&mut [f32]],
+        ) -> Result<(), Reason> {
+            self.0.0.set(self.0.0.get() + 10);
+            let number = inputs[0][0];
+            outputs[0].copy_from_slice(&[number, -number]);
+            if number.is_finite() { Ok(()) } else { Err(Reason::NonFinite) }
+        }
+
+        fn model(&self) -> [u8; 16] {
+            [0; 16]
+        }
+    }
+
+    fn schema() -> PolicySchema {
+        let port = |length| Port { name: String::new(), length };
+        let (inputs, outputs) = (vec![port(1)], vec![port(2)]);
+        PolicySchema { actions: 2, inputs, outputs, states: Vec::new(), robot: None }
+    }
+
+    fn serving<'e>(engine: &'e mut Slow<'_>, clock: &'e Held) -> Serving<'e, &'e Held> {
+        Serving {
+            clock,
+            decider: Decider::new(engine, &schema(), None),
+            format: schema().format().unwrap(),
+            fallback: Fallback::Hold,
+            client: None,
+            outputs: vec![0.0; 2],
+            action: None,
+            next: vec![0.0; 2],
+            counters: ServeCounters::default(),
+        }
+    }
+
+    #[test]
+    fn what_is_decided_after_the_deadline_is_late() {
+        let clock = Held::default();
+        let mut engine = Slow(&clock);
+        let mut serving = serving(&mut engine, &clock);
+        for (seq, deadline_ns, number, status) in [
+            (1, 110, 0.5, AnswerStatus::Answered),
+            (2, 109, 0.5, AnswerStatus::Late),
+            (3, 109, f32::NAN, AnswerStatus::Fallback),
+            (4, 1_000, 0.5, AnswerStatus::Answered),
+        ] {
+            clock.0.set(100);
+            let asked =
+                ObservationHead { session: 1, seq, deadline_ns, t_ns: 60, ..Default::default() };
+            let (inputs, available) = (&[number][..], &[1, 1][..]);
+            let observation = ObservationView { head: &asked, inputs, available };
+            let (answer, served) = serving.decide(&observation, 100);
+            assert_eq!((answer.status, served.status), (status as u16, status), "{seq}");
+            assert_eq!((served.wake_ns, served.decide_ns, answer.decide_ns), (40, 10, 10));
+        }
+        let ServeCounters { answered, late, fallbacks, .. } = serving.counters;
+        assert_eq!((answered, late, fallbacks), (3, 1, 1));
+    }
+
+    #[test]
+    fn what_is_not_available_is_not_chosen() {
+        let clock = Held::default();
+        let mut engine = Slow(&clock);
+        let mut serving = serving(&mut engine, &clock);
+        let mut decide = |available: [u16; 2]| {
+            let asked = ObservationHead { deadline_ns: u64::MAX, ..Default::default() };
+            let (inputs, available) = (&[0.5][..], &available[..]);
+            let (answer, _) =
+                serving.decide(&ObservationView { head: &asked, inputs, available }, 0);
+            (answer.action, Reason::from_number(answer.reason))
+        };
+        assert_eq!(decide([1, 1]), (0, Some(Reason::None)));
+        assert_eq!(decide([0, 1]), (1, Some(Reason::None)));
+        assert_eq!(decide([0, 0]), (-1, Some(Reason::NoAvailableAction)));
+    }
+
+    #[test]
+    fn a_new_client_is_not_held_at_what_the_one_before_did() {
+        let clock = Held::default();
+        let mut engine = Slow(&clock);
+        let mut serving = serving(&mut engine, &clock);
+        let mut decide = |session, episode, seq, number| {
+            let deadline_ns = u64::MAX;
+            let asked =
+                ObservationHead { session, episode, seq, deadline_ns, ..Default::default() };
+            let (inputs, available) = (&[number][..], &[1, 1][..]);
+            let observation = ObservationView { head: &asked, inputs, available };
+            let action = serving.decide(&observation, 0).0.action;
+            (action, serving.outputs.clone())
+        };
+        let done = (1, vec![-0.5, 0.5]);
+        assert_eq!(decide(1, 0, 1, -0.5), done);
+        assert_eq!(decide(1, 0, 2, f32::NAN), done);
+        // Also over the end of an episode, but not of a session.
+        assert_eq!(decide(1, 1, 3, f32::NAN), done);
+        assert_eq!(decide(2, 0, 1, f32::NAN), (0, vec![0.0; 2]));
+        let ServeCounters { sessions, resets, .. } = serving.counters;
+        assert_eq!((sessions, resets), (2, 3));
+    }
 }

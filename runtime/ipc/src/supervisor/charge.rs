@@ -275,7 +275,23 @@ impl OwnStatus {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::process::ExitStatusExt;
+
     use super::*;
+
+    #[test]
+    fn a_long_life_makes_up_for_deaths_at_once() {
+        let (role, command) = (Role::Runner, Command::new("true"));
+        let mut kept = Kept::new(Charge { name: "a runner".to_owned(), role, agents: 1, command });
+        let policy = RestartPolicy { give_up_after: 3, ..RestartPolicy::default() };
+        let mut pause = |lived| match kept.judge(&policy, ExitStatus::from_raw(1 << 8), lived) {
+            After::Again(pause) => Some(pause.as_millis()),
+            After::Over | After::GiveUp(_) => None,
+        };
+        let (none, long) = (Duration::ZERO, policy.immediate);
+        let pauses = [none, none, long, none, none, none].map(&mut pause);
+        assert_eq!(pauses, [Some(1), Some(2), Some(1), Some(1), Some(2), None]);
+    }
 
     #[test]
     fn a_leader_is_silent_after_five_questions_without_an_answer() {

@@ -202,21 +202,13 @@ impl Supervisor {
                 return Err(Error::Interrupted);
             }
             self.reap(policy, tell)?;
-            if self.is_done() {
+            if is_done(&self.kept) {
                 return Ok(());
             }
             self.start_due(tell)?;
             self.open_watcher()?;
             self.watch(tell)?;
             self.wait(wake);
-        }
-    }
-
-    fn is_done(&self) -> bool {
-        let is_world = |kept: &&Kept| kept.charge.role == Role::World;
-        match self.kept.iter().find(is_world) {
-            Some(world) => world.is_over(),
-            None => self.kept.iter().all(Kept::is_over),
         }
     }
 
@@ -367,6 +359,14 @@ impl Drop for Supervisor {
     }
 }
 
+/// Whether the world has done its work, or all have where there is none.
+fn is_done(kept: &[Kept]) -> bool {
+    match kept.iter().find(|kept| kept.charge.role == Role::World) {
+        Some(world) => world.is_over(),
+        None => kept.iter().all(Kept::is_over),
+    }
+}
+
 fn is_running(kept: &Kept) -> bool {
     kept.ended().is_some()
 }
@@ -382,4 +382,37 @@ fn await_end<'a>(running: impl Iterator<Item = &'a OwnedFd>, until: Instant) {
 fn name_of(kept: &[Kept], pid: u32) -> Option<&str> {
     let kept = kept.iter().find(|kept| kept.pid() == Some(pid))?;
     Some(&kept.charge.name)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::process::Command;
+
+    use super::*;
+
+    /// Charges of which these are over.
+    fn kept(charges: &[(Role, bool)]) -> Vec<Kept> {
+        let kept = |&(role, is_over): &(Role, bool)| {
+            let command = Command::new("true");
+            let mut kept = Kept::new(Charge { name: String::new(), role, agents: 0, command });
+            if is_over {
+                kept.wait();
+            }
+            kept
+        };
+        charges.iter().map(kept).collect()
+    }
+
+    #[test]
+    fn a_team_has_done_its_work_with_its_world_or_all_together() {
+        use Role::{Allocator, Runner, World};
+        for (charges, done) in [
+            (&[(Runner, false), (World, true), (Allocator, false)][..], true),
+            (&[(Runner, true), (World, false), (Allocator, true)], false),
+            (&[(Runner, true), (Allocator, false)], false),
+            (&[(Runner, true), (Allocator, true)], true),
+        ] {
+            assert_eq!(is_done(&kept(charges)), done, "{charges:?}");
+        }
+    }
 }

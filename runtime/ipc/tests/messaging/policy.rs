@@ -262,6 +262,22 @@ fn an_answer_after_the_deadline_is_late_and_the_robot_does_not_wait_for_it() {
     assert_eq!(counters.answered + counters.missed, 22);
 }
 
+/// Where nobody answers, a deadline of nothing is over at once and another one longer than any test.
+#[test]
+fn a_client_waits_as_long_as_it_says_or_else_as_the_server_says() {
+    let _watchdog = Watchdog::new();
+    let long = Duration::from_secs(3600);
+    for (own, of_server) in [(Some(Duration::ZERO), long), (None, Duration::ZERO)] {
+        let domain = toy::domain();
+        let settings = ServeSettings { deadline: of_server, ..settings(Fallback::Hold) };
+        let server = PolicyServer::open(&domain, schema(CART), &settings).unwrap();
+        let own = ClientSettings { deadline: own, ..PATIENT };
+        let mut client = PolicyClient::connect(&domain, &CART_SHAPE, &own).unwrap();
+        assert_eq!(client.decide(&[&[0.5]], &[]).unwrap().reason, Reason::Silence);
+        drop((client, server));
+    }
+}
+
 #[test]
 fn a_client_that_expects_another_policy_is_refused() {
     let _watchdog = Watchdog::new();

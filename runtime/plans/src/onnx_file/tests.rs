@@ -78,9 +78,9 @@ fn other_files_come_as_they_are() {
     let cut = &whole[..whole.len() - 3];
     for bytes in [b"SORTIEPL plan".as_slice(), b"", &[0xff; 30], cut, &inside] {
         fs::write(&path, bytes).unwrap();
-        assert!(read_onnx(&path).is_ok_and(|read| read == bytes), "{bytes:?}");
+        assert!(read_plan_or_onnx(&path).is_ok_and(|read| read == bytes), "{bytes:?}");
     }
-    assert!(read_onnx(folder.path()).is_err());
+    assert!(read_plan_or_onnx(folder.path()).is_err());
 }
 
 #[test]
@@ -96,6 +96,7 @@ fn files_of_other_formats_are_named() {
         ("policy.pt", b"PK\x03\x04 an archive".to_vec(), "TorchScript"),
         ("policy.safetensors", safetensors, "safetensors"),
         ("policy.nn", vec![16, 0, 0, 0], "Barracuda"),
+        ("policy.plan", b"SORTIEPL and more".to_vec(), "is a plan"),
     ] {
         let path = folder.path().join(name);
         fs::write(&path, bytes).expect("a file");

@@ -62,7 +62,7 @@ pub(super) fn live<S: Show>(
             .to_owned(),
     ];
     let data = Data {
-        subject: wanted.subject.display().to_string(),
+        subject: wanted.name(),
         env: set.to_string(),
         seed: wanted.seed.to_string(),
         number: wanted.episode,

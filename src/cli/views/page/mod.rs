@@ -100,7 +100,7 @@ pub(super) fn page<S: Show>(
     (env, notes): (String, Vec<&'static str>),
     captured: Captured<S>,
 ) -> Page {
-    let (subject, episode) = (wanted.subject.display().to_string(), (wanted.seed, wanted.episode));
+    let (subject, episode) = (wanted.name(), (wanted.seed, wanted.episode));
     let steps = captured.steps.len();
     let data = Data { format: FORMAT, subject, allocation: None, env, episode, notes, captured };
     Page { html: html(web, &data), steps }

@@ -211,4 +211,13 @@ mod tests {
         assert_eq!((begins.0, evaluation.episodes), (100, 100));
         assert!(evaluation.length_mean > 2.0, "{evaluation:?}");
     }
+    /// Whatever starts the environment was opened for.
+    #[test]
+    fn a_team_is_measured_on_starts_that_training_never_sees() {
+        let settings = [("held_out".to_owned(), 3_i64.into())].into();
+        let ring = sortie_envs::open("group-matching/8x6x3", Split::Train, 1, &settings).unwrap();
+        let measured = evaluate(&*ring, &mut Begins(0), 40, 1).unwrap();
+        let has_three = |group: &String| group.split('+').any(|size| size == "3");
+        assert!(measured.by_team.len() > 3 && measured.by_team.keys().all(has_three));
+    }
 }

@@ -231,6 +231,8 @@ mod tests {
         learns_while_waiting: bool,
         told: Vec<usize>,
         seen: Vec<usize>,
+        earned: f64,
+        timed_out: u64,
     }
 
     impl Method for Counting {
@@ -259,7 +261,9 @@ mod tests {
             Ok(())
         }
 
-        fn remember(&mut self, _: &Transition<'_>) -> Result<(), LearnError> {
+        fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
+            self.earned += transition.step.reward;
+            self.timed_out += u64::from(transition.step.timed_out);
             Ok(())
         }
 
@@ -292,6 +296,19 @@ mod tests {
         // What began in the last round is seen in the next.
         assert_eq!(method.told[..method.seen.len()], method.seen);
         assert!(counts.episodes >= 3 && method.told.len() as u64 == 3 + counts.episodes);
+    }
+
+    #[test]
+    fn episodes_are_counted_with_what_they_earned() {
+        let mut method = Counting { waits: true, ..Counting::default() };
+        let (mut play, mut counts) = (play(&mut method), EpisodeCounts::default());
+        for _ in 0..4 {
+            play.round(&mut method, Now::default(), &mut counts).unwrap();
+        }
+        assert_eq!((counts.episodes, counts.timed_out), (12, method.timed_out));
+        // An episode is solved or runs out of time here.
+        assert_eq!(counts.solved + counts.timed_out, 12);
+        assert!(method.earned != 0.0 && (counts.return_sum - method.earned).abs() < 1e-9);
     }
 
     #[test]

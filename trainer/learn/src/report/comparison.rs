@@ -361,6 +361,20 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn runs_of_different_environments_are_noted() {
+        let of = |environments: [Option<&str>; 2]| {
+            let run = |environment: Option<&str>| {
+                let environment = environment.map(str::to_owned);
+                RunRecord { environment, ..evaluated(1, 0.5, &[]) }
+            };
+            Comparison::of("t", &environments.map(|name| group("a", vec![run(name)]))).notes
+        };
+        let noted = ["the runs learned in different environments: city/a, city/b"];
+        assert_eq!(of([Some("city/b"), Some("city/a")]), noted);
+        assert!(of([Some("city/a"); 2]).is_empty() && of([Some("city/a"), None]).is_empty());
+    }
+
+    #[test]
     fn the_final_evaluation_counts_more_than_the_curve() {
         let runs = vec![evaluated(1, 0.5, &[]), evaluated(2, 0.75, &[])];
         let comparison = Comparison::of("t", &[group("a", runs)]);

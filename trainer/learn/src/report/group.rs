@@ -143,7 +143,7 @@ pub(super) mod tests {
 
     #[test]
     fn a_seed_keeps_its_value_between_evaluations_and_after_its_end() {
-        let group = group(
+        let mut group = group(
             "a",
             vec![
                 run(1, &[(10.0, 0.0), (20.0, 0.5), (30.0, 0.75)]),
@@ -165,6 +165,9 @@ pub(super) mod tests {
         assert_eq!(seconds, [0.015, 0.02, 0.025, 0.03]);
         let returns = group.curve(Axis::Steps, Score::Return);
         assert_eq!(returns[0], sample(15.0, 12.5, 0.0, 25.0));
+        // Whichever seed comes first.
+        group.runs.reverse();
+        assert_eq!(group.curve(Axis::Steps, Score::Return), returns);
     }
 
     #[test]

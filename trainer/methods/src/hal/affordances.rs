@@ -316,7 +316,9 @@ fn square_distance(one: &[f32], other: &[f32]) -> f32 {
 mod tests {
     use sortie_nn::random::stream;
 
+    use super::super::tests::Scene;
     use super::*;
+    use crate::hal::Config;
     use crate::options::End;
 
     #[test]
@@ -405,5 +407,27 @@ mod tests {
         assert!((860..=960).contains(&near), "{near}");
         assert_eq!(held(cloud(5.0, 1_000)), 0);
         assert!(!Population::default().holds(&[0.0; 8]));
+    }
+    /// By their own they would all be at distance 0, and nothing but themselves would look like them.
+    #[test]
+    fn positives_are_measured_by_those_of_other_options() {
+        let scene = Scene::new(Config::default());
+        let learner = scene.learner(3);
+        let (mut classes, mut random) = (Classes::new(3, 1_000), sortie_envs::random::generator(1));
+        for number in 0.. {
+            let Some(option) = scene.replay.option((0, number)) else { break };
+            classes.add(option, &mut random);
+        }
+        let mut population = Population::default();
+        let (from, kept) = ((&classes, &learner), (&scene.replay, &scene.shown));
+        refresh(&mut population, 1, 60, from, kept, &mut Memory::default(), &mut random);
+        assert!(population.margin > 0.0);
+        // Members and others of the same kind are shown alike: nine tenths of the others are held.
+        let places: Vec<Place> = classes.samples[1][POSITIVE].1.iter().map(|it| it.place).collect();
+        let states = places.iter().map(|place| (scene.replay.shown(*place), false));
+        let mut space = Space::default();
+        let all = space.hidden(&learner.network, &learner.online, &scene.shown, states);
+        let held = all.chunks_exact(learner.network.width()).filter(|it| population.holds(it));
+        assert!(held.count() * 10 > places.len() * 8, "{}", population.margin);
     }
 }

@@ -17,12 +17,12 @@ use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
 const GOALS: usize = 3;
 const EXPONENT: f32 = 0.7;
 
-/// Networks, and what was played, with priorities that differ.
-struct Scene {
+/// Networks, and what was played.
+pub(super) struct Scene {
     world: Box<dyn Environment>,
-    shown: Shown,
+    pub(super) shown: Shown,
     heads: Heads,
-    replay: Replay,
+    pub(super) replay: Replay,
     returns: ReturnsConfig,
     sizes: ReplayConfig,
     meta: MetaConfig,
@@ -31,19 +31,24 @@ struct Scene {
 }
 
 impl Scene {
-    fn new(relabel: bool) -> Self {
+    /// What these settings keep; priorities, where there are any, differ.
+    pub(super) fn new(settings: Config) -> Self {
         let world =
             sortie_envs::open("crafting/iron", Split::Train, 1, &Default::default()).unwrap();
         let shown = Shown::new(world.spec(), 7, false, true).unwrap();
         let heads = Heads { goals: GOALS, actions: 11, dueling: true };
-        let Config { returns, replay, meta, .. } = Config::paper();
-        let kept = Replay::new(1, 400, shown.bytes(), GOALS).by_priority(replay.priorities, 100);
+        let Config { returns, replay, meta, .. } = settings;
+        let kept = Replay::new(1, 400, shown.bytes(), GOALS);
+        let kept = match replay.priorities {
+            0.0 => kept,
+            exponent => kept.by_priority(exponent, 100),
+        };
         let mut scene = Self {
             world,
             shown,
             heads,
             replay: kept,
-            returns: ReturnsConfig { relabel, steps: 4, ..returns },
+            returns: ReturnsConfig { steps: 4, ..returns },
             sizes: ReplayConfig { batch: 24, ..replay },
             meta: MetaConfig { options: 3, batch: 16, ..meta },
             draws: 9,
@@ -74,7 +79,9 @@ impl Scene {
                 let state = drawn_state(self.shown.bytes(), &mut random);
                 self.replay.push(0, &state, moment);
             }
-            self.replay.finish(Finished { start, steps, goal, reached, mask: 0b111, end });
+            // Every set of milestones but none.
+            let mask = 1 + start.time % 7;
+            self.replay.finish(Finished { start, steps, goal, reached, mask, end });
             start = start.after(steps.into());
         }
         let errors: Vec<_> = (0..start.time)
@@ -84,7 +91,7 @@ impl Scene {
     }
 
     /// Weights, online ones and others for targets.
-    fn learner(&self, outputs: usize) -> Learner {
+    pub(super) fn learner(&self, outputs: usize) -> Learner {
         let (body, picture) = (Body::Convolution, self.shown.shape());
         let (columns, active, width) = (self.shown.columns(), 1, 16);
         let shape = NetworkShape { body, picture, columns, active, width, outputs };
@@ -93,14 +100,33 @@ impl Scene {
         learner
     }
 
-    /// The values of a head's actions in a state by some weights, computed alone.
-    fn values(&self, learner: &Learner, weights: &[f32], place: Place, goal: usize) -> Vec<f32> {
+    /// The values of a head's actions in a state, shown left for right or not, by some weights, computed alone.
+    fn values(
+        &self,
+        (learner, weights): (&Learner, &[f32]),
+        place: Place,
+        (is_mirrored, goal): (bool, usize),
+    ) -> Vec<f32> {
         let heads = if learner.network.outputs() == self.heads.outputs() {
             self.heads
         } else {
             self.heads.of_goals(true)
         };
-        values((learner, weights, heads), (&self.replay, &self.shown), (place, false, goal))
+        values((learner, weights, heads), (&self.replay, &self.shown), (place, is_mirrored, goal))
+    }
+
+    /// An option and its priority: by priorities where there are any, else now and then of a solved episode.
+    fn drawn_option(&mut self, random: &mut Random) -> ((u32, u32), f64) {
+        self.replay.draw_option_by_priority(random).unwrap_or_else(|| {
+            let is_solved = chance(random, self.meta.solved.into());
+            let place = self.replay.draw_option(is_solved, random);
+            (place.or_else(|| self.replay.draw_option(false, random)).unwrap(), 1.0)
+        })
+    }
+
+    /// What a value that is looked up counts as.
+    fn bounded(&self, value: f32) -> f32 {
+        if self.returns.bounded { value.clamp(0.0, 1.0) } else { value }
     }
 
     fn descend(&mut self, learner: &mut Learner, memory: &mut ControllerMemory) -> f64 {
@@ -129,51 +155,70 @@ fn drawn_state(bytes: usize, random: &mut Random) -> Vec<u8> {
         .collect()
 }
 
+/// The published settings with and without hindsight, and those of the preset `fast` with and without bounds.
+fn settings() -> [Config; 4] {
+    let [published, mut chosen] = [Config::paper(), Config::paper()];
+    chosen.returns.relabel = false;
+    let [fast, mut unbounded] = [Config::default(), Config::default()];
+    unbounded.returns.bounded = false;
+    [published, chosen, fast, unbounded]
+}
+
 #[test]
 fn an_update_of_the_controller_is_that_of_a_naive_list() {
-    for relabel in [true, false] {
-        let mut scene = Scene::new(relabel);
+    for settings in settings() {
+        let mut scene = Scene::new(settings);
         let mut learner = scene.learner(scene.heads.outputs());
         // The same draws, one by one.
         let mut random = generator(9);
         let mut drawn = Vec::new();
         while drawn.len() < scene.sizes.batch {
-            let (place, priority) = scene.replay.draw_step_by_priority(&mut random).unwrap();
+            let (place, priority) = scene.replay.draw(scene.sizes.reached, &mut random);
             let window = window(&scene.replay, place, scene.returns.rules());
-            drawn.extend(window.map(|window| (place, priority, window)));
+            let Some(window) = window else { continue };
+            let is_mirrored = scene.returns.mirror && chance(&mut random, 0.5);
+            drawn.push((place, priority, window, is_mirrored));
         }
         let least = drawn.iter().map(|it| it.1).fold(f64::MAX, f64::min);
-        let (mut loss, mut errors) = (0.0, Vec::new());
-        for (place, priority, window) in &drawn {
+        let (mut loss, mut errors, mut turned) = (0.0, Vec::new(), 0);
+        for (place, priority, window, is_mirrored) in &drawn {
             let moment = scene.replay.moment(*place);
             let mut goals = vec![moment.goal];
+            let relabel = scene.returns.relabel;
             if relabel && moment.option_reached != NONE && moment.option_reached != moment.goal {
                 goals.push(moment.option_reached);
             }
+            // What is shown left for right was done left for right.
+            let action = scene.world.turned_action((*is_mirrored).into(), moment.action.into());
+            turned += usize::from(action != u16::from(moment.action));
             let weight = (least / priority).powf(EXPONENT.into());
             let mut sum = 0.0;
             for goal in &goals {
+                let head = (*is_mirrored, usize::from(*goal));
                 let follows = window.next.map_or(0.0, |next| {
-                    let chosen = scene.values(&learner, &learner.online, next, (*goal).into());
-                    let worth = scene.values(&learner, &learner.target, next, (*goal).into());
-                    window.discount * worth[greedy(&chosen)]
+                    let chosen = scene.values((&learner, &learner.online), next, head);
+                    let worth = scene.values((&learner, &learner.target), next, head);
+                    window.discount * scene.bounded(worth[greedy(&chosen)])
                 });
                 let target = window.earned(*goal, scene.returns.rules()) + follows;
-                let values = scene.values(&learner, &learner.online, *place, (*goal).into());
-                let error = f64::from(values[usize::from(moment.action)] - target);
+                let values = scene.values((&learner, &learner.online), *place, head);
+                let error = f64::from(values[usize::from(action)] - target);
                 loss += 0.5 * (weight * error).powi(2) / drawn.len() as f64;
                 sum += error.abs();
             }
             errors.push((*place, sum / goals.len() as f64));
         }
-        assert!(drawn.iter().any(|it| it.2.next.is_some()) && least < drawn[0].1);
+        assert!(drawn.iter().any(|it| it.2.next.is_some()));
+        assert_eq!(turned > 0, scene.returns.mirror);
+        let exponent = scene.sizes.priorities;
+        assert_eq!(drawn.iter().any(|it| it.1 > least), exponent > 0.0);
         let found = scene.descend(&mut learner, &mut ControllerMemory::default());
         assert!((found - loss).abs() < 1e-4 * loss, "{found} {loss}");
         // A step that was drawn now has the priority of its error.
         for _ in 0..200 {
-            let (place, priority) = scene.replay.draw_step_by_priority(&mut random).unwrap();
-            for (_, error) in errors.iter().filter(|it| it.0 == place) {
-                assert!((priority - (error + 0.001).powf(0.4)).abs() < 1e-4);
+            let (place, priority) = scene.replay.draw(scene.sizes.reached, &mut random);
+            for (_, error) in errors.iter().filter(|it| it.0 == place && exponent > 0.0) {
+                assert!((priority - (error + 0.001).powf(exponent)).abs() < 1e-4);
             }
         }
     }
@@ -181,44 +226,62 @@ fn an_update_of_the_controller_is_that_of_a_naive_list() {
 
 #[test]
 fn an_update_of_the_meta_controller_is_that_of_a_naive_list() {
-    let mut scene = Scene::new(true);
-    let mut learner = scene.learner(scene.heads.of_goals(true).outputs());
-    let options: Vec<_> = (0..10).map(|number| ((0, number), 0.3 * number as f32)).collect();
-    scene.replay.correct_options(options.into_iter());
-    let rules = scene.returns.course_rules(&scene.meta, GOALS);
-    let mut random = generator(9);
-    let mut drawn = Vec::new();
-    while drawn.len() < scene.meta.batch {
-        let (place, priority) = scene.replay.draw_option_by_priority(&mut random).unwrap();
-        let course = course(&scene.replay, place, rules);
-        drawn.extend(course.map(|course| (place, priority, course)));
-    }
-    let least = drawn.iter().map(|it| it.1).fold(f64::MAX, f64::min);
-    let (mut loss, mut errors) = (0.0, Vec::new());
-    for (place, priority, course) in &drawn {
-        let follows = course.next.map_or(0.0, |(next, _)| {
-            let chosen = scene.values(&learner, &learner.online, next, 0);
-            course.discount * scene.values(&learner, &learner.target, next, 0)[greedy(&chosen)]
-        });
-        let values = scene.values(&learner, &learner.online, course.start, 0);
-        let error = f64::from(values[usize::from(course.goal)] - course.reward - follows);
-        let weight = (least / priority).powf(EXPONENT.into());
-        loss += 0.5 * (weight * error).powi(2) / drawn.len() as f64;
-        errors.push((*place, error));
-    }
-    let found = scene.descend_meta(&mut learner);
-    assert!((found - loss).abs() < 1e-4 * loss, "{found} {loss}");
-    for _ in 0..200 {
-        let (place, priority) = scene.replay.draw_option_by_priority(&mut random).unwrap();
-        for (_, error) in errors.iter().filter(|it| it.0 == place) {
-            assert!((priority - (error.abs() + 0.001).powf(0.4)).abs() < 1e-4);
+    for settings in settings() {
+        let mut scene = Scene::new(settings);
+        let mut learner = scene.learner(scene.heads.of_goals(true).outputs());
+        let options: Vec<_> = (0..10).map(|number| ((0, number), 0.3 * number as f32)).collect();
+        scene.replay.correct_options(options.into_iter());
+        let rules = scene.returns.course_rules(&scene.meta, GOALS);
+        let mut random = generator(9);
+        let mut drawn = Vec::new();
+        while drawn.len() < scene.meta.batch {
+            let (place, priority) = scene.drawn_option(&mut random);
+            let Some(course) = course(&scene.replay, place, rules) else { continue };
+            let is_mirrored = scene.returns.mirror && chance(&mut random, 0.5);
+            drawn.push((place, priority, course, is_mirrored));
+        }
+        let least = drawn.iter().map(|it| it.1).fold(f64::MAX, f64::min);
+        let (mut loss, mut errors, mut hidden) = (0.0, Vec::new(), 0);
+        for (place, priority, course, is_mirrored) in &drawn {
+            let head = (*is_mirrored, 0);
+            let follows = course.next.map_or(0.0, |(next, mask)| {
+                let mut chosen = scene.values((&learner, &learner.online), next, head);
+                let any = greedy(&chosen);
+                // What the mask hides behind an option is not chosen there.
+                for (goal, value) in chosen.iter_mut().enumerate() {
+                    if scene.meta.masked && mask >> goal & 1 == 0 {
+                        *value = f32::NEG_INFINITY;
+                    }
+                }
+                let worth = scene.values((&learner, &learner.target), next, head);
+                let [best, any] = [greedy(&chosen), any].map(|goal| scene.bounded(worth[goal]));
+                hidden += usize::from(best != any);
+                course.discount * best
+            });
+            let values = scene.values((&learner, &learner.online), course.start, head);
+            let error = f64::from(values[usize::from(course.goal)] - course.reward - follows);
+            let weight = (least / priority).powf(EXPONENT.into());
+            loss += 0.5 * (weight * error).powi(2) / drawn.len() as f64;
+            errors.push((*place, error));
+        }
+        // Bounds make most of these values, of networks that have learned nothing, one.
+        assert!(hidden > 0 || scene.returns.bounded || !scene.meta.masked);
+        assert_eq!(drawn.iter().any(|it| it.3), scene.returns.mirror);
+        let found = scene.descend_meta(&mut learner);
+        assert!((found - loss).abs() < 1e-4 * loss, "{found} {loss}");
+        let exponent = scene.sizes.priorities;
+        for _ in 0..200 {
+            let (place, priority) = scene.drawn_option(&mut random);
+            for (_, error) in errors.iter().filter(|it| it.0 == place && exponent > 0.0) {
+                assert!((priority - (error.abs() + 0.001).powf(exponent)).abs() < 1e-4);
+            }
         }
     }
 }
 
 #[test]
 fn gradients_of_updates_agree_with_finite_differences() {
-    let scene = || Scene::new(true);
+    let scene = || Scene::new(Config::paper());
     let learner = scene().learner(scene().heads.outputs());
     let loss = |weights: &[f32]| {
         let mut learner = learner.clone();
@@ -248,7 +311,7 @@ fn published_rewards_are_logarithms() {
 
 #[test]
 fn values_come_to_what_was_earned() {
-    let mut scene = Scene::new(true);
+    let mut scene = Scene::new(Config::paper());
     scene.returns.discount = 0.9;
     let mut learner = scene.learner(scene.heads.outputs());
     let optimiser = OptimiserConfig { target_rate: 0.0, ..OptimiserConfig::default() };

@@ -313,4 +313,14 @@ mod tests {
             assert_eq!(changed, [false, others, false, false, others, false], "{kind:?}");
         }
     }
+    #[test]
+    fn others_that_all_count_the_same_come_to_their_mean() {
+        let (groups, _) = three();
+        let mut tape = Tape::default();
+        let mut pass = tape.begin(&[]);
+        // The first two agents in one record and in another, then the third in both.
+        let x = pass.input(1, &[1., 2., 10., 20., 4., 40.]);
+        let mean = mean_of_others(&mut pass, x, &groups.records(2), groups.agents());
+        assert_eq!(pass.values(mean), [3., 2.5, 30., 25., 1.5, 15.]);
+    }
 }

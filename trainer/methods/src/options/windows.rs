@@ -384,4 +384,33 @@ mod tests {
         assert_eq!(found(3), Some((1, -0.25 - 0.125 + 0.1875, 0.0, None)));
         assert_eq!(found(5), Some((2, 0.75, 0.0, None)));
     }
+    #[test]
+    fn a_course_is_discounted_for_every_option_and_every_step() {
+        let mut replay = kept(&[Moment::default(); 40]);
+        let mut start = at(0);
+        for (steps, reached) in [(3, NONE), (5, 0), (2, NONE), (4, 2)] {
+            let end = if reached == 2 { End::Terminated } else { End::GoesOn };
+            replay.finish(Finished { start, steps, goal: 1, reached, mask: 0b11, end });
+            start = start.after(steps.into());
+        }
+        let rules = CourseRules {
+            options: 2,
+            discount: 0.75,
+            step_discount: 0.5,
+            time_outs: true,
+            worth: 1.0,
+            cost: 0.25,
+            relabel: true,
+            milestones: 3,
+        };
+        let found = |number| {
+            let course = course(&replay, (0, number), rules)?;
+            Some((course.reward, course.discount, course.next))
+        };
+        // So much is worth what comes behind options of so many steps in all.
+        let worth = |options: i32, steps: i32| 0.75_f32.powi(options) * 0.5_f32.powi(steps);
+        assert_eq!(found(0), Some((-0.25 * worth(1, 3), worth(2, 8), Some((at(8), 0b11)))));
+        assert_eq!(found(1), Some((-0.25, worth(2, 7), Some((at(10), 0b11)))));
+        assert_eq!(found(2), Some((worth(1, 2), 0.0, None)));
+    }
 }

@@ -168,6 +168,7 @@ impl Acting {
 #[cfg(test)]
 mod tests {
     use sortie_envs::{Split, Step};
+    use sortie_learn::run::UpdateReport;
 
     use super::*;
     use crate::value_factorisation::VDN;
@@ -176,8 +177,8 @@ mod tests {
         sortie_envs::open("group-matching/4x3x2", Split::Train, 1, &Default::default()).unwrap()
     }
 
-    /// A method that has seen the first state of an episode so many times, each time left in one way.
-    fn seen(ring: &mut dyn Environment, batch: usize, step: Step) -> ValueFactorisation {
+    /// A method that has seen nothing yet, with these changes of its settings.
+    fn new(ring: &dyn Environment, batch: usize, change: fn(&mut Config)) -> ValueFactorisation {
         let mut setup = VDN.preset("fast").unwrap();
         setup.environment.instances = 1;
         let mut config: Config = setup.own().unwrap();
@@ -185,8 +186,19 @@ mod tests {
         config.replay.steps_per_update = 1;
         config.optimiser.target_rate = 1.0;
         config.update.target_every = 3;
+        change(&mut config);
         let opening = Opening { setup: &setup, environment: ring, seed: 1, threads: 1 };
-        let mut method = ValueFactorisation::new(config, &opening);
+        ValueFactorisation::new(config, &opening)
+    }
+
+    /// One that has seen the first state of an episode so many times, each time left in one way.
+    fn seen(ring: &mut dyn Environment, batch: usize, step: Step) -> ValueFactorisation {
+        let mut method = new(ring, batch, |_| ());
+        see(&mut method, ring, step);
+        method
+    }
+
+    fn see(method: &mut ValueFactorisation, ring: &mut dyn Environment, step: Step) {
         let mut state = Vec::new();
         ring.reset(0, &mut generator(1, Purpose::Rollout, 0));
         ring.save(0, &mut state);
@@ -203,7 +215,39 @@ mod tests {
             };
             method.remember(&transition).unwrap();
         }
-        method
+    }
+
+    /// Plays so many steps of an episode, which is over then.
+    fn play(method: &mut ValueFactorisation, ring: &mut dyn Environment, seed: u64, steps: usize) {
+        let mut random = generator(seed, Purpose::Rollout, 0);
+        ring.reset(0, &mut random);
+        let [mut state, mut next] = [Vec::new(), Vec::new()];
+        ring.save(0, &mut state);
+        for number in 1..=steps {
+            ring.step(0, &[1; 4], &mut random).unwrap();
+            next.clear();
+            ring.save(0, &mut next);
+            let (reward, terminated) = (number as f64, number == steps);
+            let transition = Transition {
+                environment: ring,
+                instance: 0,
+                state: &state,
+                actions: &[1; 4],
+                step: Step { reward, terminated, ..Step::default() },
+                task_rewards: &[],
+                agent_rewards: &[],
+                next: &next,
+            };
+            method.remember(&transition).unwrap();
+            std::mem::swap(&mut state, &mut next);
+        }
+    }
+
+    /// What an update finds that changes nothing.
+    fn found(method: &mut ValueFactorisation, ring: &dyn Environment) -> UpdateReport {
+        let ValueFactorisation { learner, experience, random, config, .. } = method;
+        let update = Update { learning_rate: 0.0, moves_target: false };
+        experience.teach(learner, ring, update, random, config.replay.batch).unwrap()
     }
 
     #[test]
@@ -245,13 +289,44 @@ mod tests {
             let mut ring = ring();
             let step = Step { reward: 2.0, terminated: true, ..Step::default() };
             let mut method = seen(&mut *ring, batch, step);
-            let ValueFactorisation { learner, experience, random, .. } = &mut method;
-            let update = Update { learning_rate: 0.0, moves_target: true };
-            experience.teach(learner, &*ring, update, random, batch).unwrap()
+            found(&mut method, &*ring)
         };
         let (one, three) = (norm(32), norm(96));
         assert!(one.gradient_norm > 0.1, "{one:?}");
         assert!((one.gradient_norm - three.gradient_norm).abs() < 1e-4, "{one:?} {three:?}");
         assert!((one.loss - three.loss).abs() < 1e-6, "{one:?} {three:?}");
+    }
+    #[test]
+    fn episodes_of_one_step_teach_what_their_steps_teach() {
+        let ended = Step { reward: 2.0, terminated: true, ..Step::default() };
+        let [steps, episodes]: [fn(&mut Config); 2] =
+            [|_| (), |config| config.replay.unit = Unit::Episodes];
+        let [one, other] = [steps, episodes].map(|change| {
+            let mut ring = ring();
+            let mut method = new(&*ring, 8, change);
+            see(&mut method, &mut *ring, ended);
+            found(&mut method, &*ring)
+        });
+        assert!(one.gradient_norm > 0.1, "{one:?}");
+        assert!((one.gradient_norm - other.gradient_norm).abs() < 1e-4, "{one:?} {other:?}");
+        assert!((one.loss - other.loss).abs() < 1e-5, "{one:?} {other:?}");
+    }
+
+    /// Whose agents remember, each its own.
+    #[test]
+    fn episodes_that_are_learned_from_together_do_not_meet() {
+        let loss = |episodes: &[(u64, usize)]| {
+            let mut ring = ring();
+            let mut method = new(&*ring, episodes.len(), |config| {
+                (config.replay.unit, config.network.memory) = (Unit::Episodes, 8);
+            });
+            for (seed, steps) in episodes {
+                play(&mut method, &mut *ring, *seed, *steps);
+            }
+            found(&mut method, &*ring).loss
+        };
+        let (one, other, both) = (loss(&[(1, 2)]), loss(&[(2, 5)]), loss(&[(1, 2), (2, 5)]));
+        let mean = (2.0 * one + 5.0 * other) / 7.0;
+        assert!((both - mean).abs() < 1e-5, "{one} {other} {both}");
     }
 }

@@ -1,3 +1,5 @@
+use std::collections::BTreeMap;
+
 use sortie_envs::{EntitySet, Observation};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::stream;
@@ -265,6 +267,46 @@ fn whole_episodes_teach_what_their_steps_teach() {
     }
 }
 
+/// Rewards and what they prefer by the online network, as the target network has it (double Q-learning).
+#[test]
+fn targets_are_what_the_target_network_says_of_what_the_online_network_prefers() {
+    let shape = shape(MixerKind::Sum, true);
+    let online = Network::initialise(shape, &mut stream(1, 1, 0));
+    let target = Network::initialise(shape, &mut stream(2, 1, 0));
+    let whole = episodes(Scenes::sharing(), Partitions::None);
+    for batch in [batch(Partitions::None), whole] {
+        let after = if batch.next.is_empty() { &batch.after } else { &batch.before };
+        let [preferred, worth] = [&online, &target].map(|network| {
+            AgentPass::default().forward(shape.agent, network.agent(), after, 1).to_vec()
+        });
+        let choice = |utilities: &[f32], agent: usize| {
+            let row = &utilities[agent * 4..][..4];
+            let open = |action: &usize| after.available()[agent] >> action & 1 == 1;
+            (0..4).filter(open).max_by(|a, b| row[*a].total_cmp(&row[*b])).unwrap()
+        };
+        let (mut first, mut values, mut differ) = (0, Vec::new(), 0);
+        for size in after.sizes() {
+            let team = first..first + size;
+            first += size;
+            differ += team.clone().filter(|a| choice(&preferred, *a) != choice(&worth, *a)).count();
+            values.push(team.map(|a| worth[a * 4 + choice(&preferred, a)]).sum::<f32>());
+        }
+        assert!(differ > 0);
+        let mut pass = TemporalDifference::default();
+        let records = batch.rewards.len();
+        pass.descend(&online, &target, &batch, None, records, &mut vec![0.0; shape.parameters()]);
+        for (record, found) in pass.targets().iter().enumerate() {
+            let next = if batch.next.is_empty() { Some(record) } else { batch.next[record] };
+            let want =
+                next.map(|next| batch.rewards[record] + batch.discounts[record] * values[next]);
+            match (found, want) {
+                (Some(found), Some(want)) => assert!((found - want).abs() < 1e-5, "{found} {want}"),
+                (found, want) => assert_eq!(*found, want),
+            }
+        }
+    }
+}
+
 /// Agents that go through an episode at once remember what those do that go step by step.
 #[test]
 fn agents_remember_from_step_to_step_and_begin_with_nothing() {
@@ -289,6 +331,46 @@ fn agents_remember_from_step_to_step_and_begin_with_nothing() {
     assert_eq!(whole.len(), apart.len());
     for (whole, apart) in whole.iter().zip(&apart) {
         assert!((whole - apart).abs() < 1e-5, "{whole} {apart}");
+    }
+}
+
+/// What three agents with so much memory remember of each instance behind states that they saw: of every time that they acted
+/// whose teams, whether the team's episode began, and the state's number.
+fn remembered(times: &[&[(usize, bool, usize)]]) -> BTreeMap<usize, Vec<f32>> {
+    let mut shape = shape(MixerKind::Sum, true);
+    shape.agent.memory = 6;
+    let network = Network::initialise(shape, &mut stream(5, 1, 0));
+    let states = states(10, |_| EntitySet::MAX);
+    let mut acting = Acting::default();
+    for teams in times {
+        acting.clear();
+        for (instance, begins, state) in *teams {
+            acting.push(*instance, *begins, &states[*state]);
+        }
+        acting.choose(&network, &mut [0; 6]);
+    }
+    acting.memories
+}
+
+#[test]
+fn who_acts_remembers_its_own_episode_and_nothing_of_the_one_before() {
+    let once = remembered(&[&[(0, true, 0)]]);
+    assert!(once[&0].iter().all(|number| *number != 0.0));
+    let twice = remembered(&[&[(0, true, 0)], &[(0, false, 2)]]);
+    assert_ne!(twice[&0], remembered(&[&[(0, true, 2)]])[&0]);
+    let anew = remembered(&[&[(0, true, 2)], &[(0, false, 1)], &[(0, true, 0)]]);
+    assert_eq!(anew[&0], once[&0]);
+    // Whoever is absent remembers nothing.
+    let absent = remembered(&[&[(0, true, 0)], &[(0, false, 1)]]);
+    assert_eq!(absent[&0][2 * 6..], [0.0; 6]);
+    assert!(absent[&0][..2 * 6].iter().all(|number| *number != 0.0));
+    // Teams act side by side, in any order.
+    let both = remembered(&[&[(5, true, 2), (0, true, 0)], &[(0, false, 2), (5, false, 0)]]);
+    let other = remembered(&[&[(0, true, 2)], &[(0, false, 0)]]);
+    for (both, alone) in [(&both[&0], &twice[&0]), (&both[&5], &other[&0])] {
+        for (both, alone) in both.iter().zip(alone) {
+            assert!((both - alone).abs() < 1e-6, "{both} {alone}");
+        }
     }
 }
 

@@ -71,6 +71,10 @@ fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
     check("gather", |t, x| t.gather(x, &[3, 0, 3, 5]));
     check("scatter", |t, x| t.scatter(x, &[2, 0, 2, 2, 1, 0], 3));
     check("pick", |t, x| t.pick(x, &[0, 3, 1, 1, 2, 0]));
+    check("picks that share numbers", |t, x| {
+        let (first, second) = (t.pick(x, &[0, 3, 1, 1, 2, 0]), t.pick(x, &[0, 1, 1, 2, 2, 3]));
+        t.multiply(first, second)
+    });
     check("columns", |t, x| t.columns(x, 1..3));
     check("rows", |t, x| t.rows(x, 2..5));
     check("reshape", |t, x| t.reshape(x, 8));

@@ -157,6 +157,37 @@ fn two_convolutions(
     tail(file)
 }
 
+/// A block of a transformer without its attention, on the points of a picture: a layer beside them, their norm, a layer.
+fn block_on_tokens(file: File) -> File {
+    file.whole("sizes", &[1, 5, -1])
+        .node("Reshape", &["second", "sizes"], "rows")
+        .node_with("Transpose", &["rows"], "points", vec![numbers("perm", &[0, 2, 1])])
+        .constant("start", &[1, 1, 5], &some(5))
+        .node_with("Concat", &["start", "points"], "tokens", vec![number("axis", 1)])
+        .constant("T", &[5, 5], &some(25))
+        .constant("bias", &[5], &some(5))
+        .constant("scale", &[5], &some(5))
+        .node("MatMul", &["tokens", "T"], "product")
+        .node("Add", &["product", "bias"], "layer")
+        .node("Add", &["tokens", "layer"], "sum")
+        .constant("offset", &[5], &some(5))
+        .node("LayerNormalization", &["sum", "scale", "offset"], "norm")
+        .constant("L", &[5, 3], &some(15))
+        .node("MatMul", &["norm", "L"], "q")
+        .output("q")
+}
+
+#[test]
+fn tokens_that_the_graph_turns_stand_row_behind_row() {
+    let relu = |file: File| file.node("Relu", &["first"], "between");
+    let file = two_convolutions(&relu, &[0; 4], &block_on_tokens);
+    let steps = steps(&file);
+    // Three put the tokens behind each other, two turn them, for the layer and for the sum; means, factors and offsets
+    // are repeated along rows. What comes of the layer is not turned any more, and the bias is the layer's.
+    assert_eq!(steps.iter().filter(|step| **step == "Arrange").count(), 8, "{steps:?}");
+    assert_eq!(steps.iter().filter(|step| **step == "Combine").count(), 4, "{steps:?}");
+}
+
 #[test]
 fn pictures_stand_as_convolutions_take_them() {
     let relu = |file: File| file.node("Relu", &["first"], "between");
@@ -269,7 +300,7 @@ fn weights_of_eight_bits_are_near() {
         let exact = compiled(&file).unwrap().compiled;
         let few = int8(&file).unwrap().compiled;
         assert!(few.report.flash_bytes < exact.report.flash_bytes * 6 / 10);
-        let error = few.report.max_rel_error;
-        assert!((1.0e-5..0.05).contains(&error), "{error}");
+        let times = few.report.max_distance / exact.report.max_distance;
+        assert!((10.0..100_000.0).contains(&times), "{times}");
     }
 }

@@ -1,5 +1,7 @@
 //! Numbers in another order: transposed, cut out, repeated, beside each other.
 
+use std::cmp::Reverse;
+
 use sortie_core::internal::ops::{Arrange, Choice, Combination, Flag, LookUp, Op, Place};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::array::{OneHot, Pad, PadMode, Slice};
@@ -97,29 +99,33 @@ impl Lowering<'_> {
         Ok(to)
     }
 
-    /// An operand repeated to a shape of as many axes.
+    /// An operand repeated to a shape of as many axes, in the order in which the function at hand works.
     pub(super) fn broadcast(
         &mut self,
         node: &TypedNode,
         slot: usize,
         shape: &[usize],
     ) -> Lowered<Place> {
-        let value = self.operand(node, slot)?;
+        let (outlet, value) = (self.outlet(node, slot)?, self.operand(node, slot)?);
         let count: usize = shape.iter().product();
-        if value.place.len as usize == count {
+        let picture = self.values.as_picture.filter(|_| !self.values.stands(outlet));
+        if value.place.len as usize == count && picture.is_none() {
             return Ok(value.place);
         }
         if value.shape.len() != shape.len() {
             return Err(self.unsupported(node, "its operands have other numbers of axes"));
         }
-        let (from, to) = (strides(&value.shape), strides(shape));
-        let dimensions: Vec<Dimension> = (0..shape.len())
+        let from = strides(&value.shape);
+        let to = picture.and_then(|picture| picture.strides(shape));
+        let to = to.unwrap_or_else(|| strides(shape));
+        let mut dimensions: Vec<Dimension> = (0..shape.len())
             .map(|axis| Dimension {
                 size: shape[axis],
                 from: if value.shape[axis] == 1 { 0 } else { from[axis] },
                 to: to[axis],
             })
             .collect();
+        dimensions.sort_by_key(|dimension| Reverse(dimension.to));
         let place = self.arena.place(count);
         self.arrange(node, value.place, place, &dimensions)?;
         Ok(place)
@@ -156,8 +162,14 @@ impl Lowering<'_> {
         let picture = self.values.picture(outlet);
         let steps = picture.and_then(|picture| Some((picture.place, picture.strides(&shape)?)));
         let Some((place, steps)) = steps else {
+            let key = (outlet, order.to_vec());
+            if let Some(place) = self.values.permuted.get(&key) {
+                return Ok(*place);
+            }
             let value = self.operand(node, slot)?;
-            return self.permuted(node, &value, order);
+            let place = self.permuted(node, &value, order)?;
+            self.values.permuted.insert(key, place);
+            return Ok(place);
         };
         let sizes: Vec<usize> = order.iter().map(|axis| shape[*axis]).collect();
         self.copied(node, place, &sizes, order.iter().map(|axis| steps[*axis]))

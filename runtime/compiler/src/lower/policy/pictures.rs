@@ -30,6 +30,12 @@ impl Picture {
         Matrix { inputs: *inputs, outputs: *outputs, values: rows.flatten().copied().collect() }
     }
 
+    /// Whether the numbers of both stand in the same order.
+    pub(super) fn is_like(&self, other: &Self) -> bool {
+        let sizes = |picture: &Self| [picture.count, picture.points, picture.channels];
+        sizes(self) == sizes(other)
+    }
+
     /// The steps between neighbours along every axis of a shape whose axes are the picture's; none where axes join others.
     pub(super) fn strides(&self, shape: &[usize]) -> Option<Vec<usize>> {
         let whole = [self.count, self.channels, self.points];
@@ -72,19 +78,17 @@ impl Lowering<'_> {
         Ok(to)
     }
 
-    /// What all inputs of a function of every number are that are no constant number: pictures, which it need not bring in order.
+    /// The picture in whose order a function of every number works: an input's. What else goes in is brought into it.
     pub(super) fn as_picture(&self, node: &TypedNode) -> Option<Picture> {
         let op = &node.op;
         let is_of_numbers =
             op.is::<ElementWiseOp>() || op.is::<TypedBinOp>() || op.is::<Iff>() || op.is::<Cast>();
-        let sized = |outlet: &OutletId| {
-            Some(Picture { place: Place { offset: 0, len: 0 }, ..self.values.picture(*outlet)? })
-        };
-        let first = node.inputs.iter().find_map(sized)?;
-        let fits =
-            |outlet: &OutletId| sized(outlet) == Some(first) || self.uniform(*outlet).is_some();
-        let numbers: usize = self.shape(node, 0).ok()?.iter().product();
-        let is_whole = numbers == first.count * first.points * first.channels;
-        (is_of_numbers && is_whole && node.inputs.iter().all(fits)).then_some(first)
+        let shape = self.shape(node, 0).ok()?;
+        let numbers: usize = shape.iter().product();
+        let is_whole =
+            |picture: &Picture| picture.count * picture.points * picture.channels == numbers;
+        let mut pictures = node.inputs.iter().filter_map(|outlet| self.values.picture(*outlet));
+        let first = pictures.find(is_whole).filter(|first| first.strides(&shape).is_some())?;
+        is_of_numbers.then_some(first)
     }
 }

@@ -11,6 +11,7 @@ use tract_onnx::tract_core::ops::change_axes::AxisOp;
 use tract_onnx::tract_core::ops::einsum::EinSum;
 
 use super::arrange::strides;
+use super::pictures::Picture;
 use super::values::{PolicyWeights, StoredLayer, Value, numbers};
 use super::{Dimension, Lowered, Lowering, WIDEST};
 use crate::lower::agent::at_most;
@@ -106,10 +107,22 @@ impl<'m> Lowering<'m> {
         behind.sort_by_key(|axis| own(axis));
         let mut columns: Vec<&Axis> = sized.iter().filter(|axis| !is_row(axis)).copied().collect();
         columns.sort_by_key(|axis| axis.out);
-        behind.extend(columns);
-        // Where the result needs no other order, bias and ReLU can join the layer.
+        // The graph has the columns in front: then rows are the points of a picture, and their columns its channels.
+        let turned: Vec<_> = columns.iter().chain(&behind).map(|axis| axis.out).collect();
+        behind.extend(&columns);
         let is_in_order = rows == 1 || self.is_in_order(node, &behind)?;
-        let absorbed = if is_in_order { self.absorb(node, &mut layer, rows) } else { Vec::new() };
+        let is_picture = !is_in_order && turned.is_sorted();
+        // Where the result needs no other order, bias and ReLU can join the layer.
+        let of_columns = |constant: &Tensor| {
+            let is_column = |axis: usize| columns.iter().any(|column| column.out == Some(axis));
+            let mut sizes = constant.shape().iter().enumerate();
+            rows == 1 || sizes.all(|(axis, size)| *size == 1 || is_column(axis))
+        };
+        let absorbed = if is_in_order || is_picture {
+            self.absorb(node, &mut layer, of_columns)
+        } else {
+            Vec::new()
+        };
         let to = if rows < MANY_ROWS {
             let to = self.arena.place((rows - 1) * outputs + padded(outputs));
             let sparse_input = self.relu_behind(node, slot);
@@ -126,12 +139,19 @@ impl<'m> Lowering<'m> {
             self.give(node, 0, to)?;
             return absorbed.into_iter().try_for_each(|node| self.give(node, 0, to));
         }
+        if is_picture {
+            let picture = Picture { place: to, count: 1, points: rows, channels: outputs };
+            for node in [node].into_iter().chain(absorbed) {
+                self.values.insert_picture((node.id, 0).into(), picture);
+            }
+            return Ok(());
+        }
         self.result(node, to, &behind)
     }
 
     /// A layer on zeros and a one: what it makes of each place of the one, and of zeros alone, stands in a table.
     fn row_of_layer(&mut self, node: &TypedNode, hot: Hot, mut layer: Layer) -> Lowered<()> {
-        let absorbed = self.absorb(node, &mut layer, 1);
+        let absorbed = self.absorb(node, &mut layer, |_| true);
         let Layer { matrix, bias, relu } = &layer;
         let zeros = vec![0.0; matrix.outputs];
         let rows = matrix.values.chunks(matrix.outputs.max(1)).chain([zeros.as_slice()]);
@@ -193,10 +213,14 @@ impl<'m> Lowering<'m> {
     }
 
     /// Takes the bias and the ReLU behind a product into its layer, where nothing else reads what is between.
-    fn absorb(&self, node: &TypedNode, layer: &mut Layer, rows: usize) -> Vec<&'m TypedNode> {
+    fn absorb(
+        &self,
+        node: &TypedNode,
+        layer: &mut Layer,
+        of_columns: impl Fn(&Tensor) -> bool,
+    ) -> Vec<&'m TypedNode> {
         let mut absorbed = Vec::new();
         let outputs = layer.matrix.outputs;
-        let of_columns = |constant: &Tensor| rows == 1 || constant.shape().last() == Some(&outputs);
         let sum = self.only_reader(node, "Add").and_then(|(sum, constant)| {
             let constant = self.constant(constant).filter(|constant| of_columns(constant))?;
             Some((sum, bias(&constant, outputs)?))

@@ -9,6 +9,7 @@ use tract_onnx::tract_core::ops::array::{CumSum, Topk};
 use tract_onnx::tract_core::ops::nn::{self, Reducer, SoftmaxKind};
 
 use super::arrange::strides;
+use super::pictures::Picture;
 use super::values::{Value, numbers};
 use super::{Dimension, Lowered, Lowering};
 
@@ -26,7 +27,7 @@ impl Lowering<'_> {
         let to = self.arena.place(from.len as usize);
         let (logarithm, columns) = (Flag::from(logarithm), columns as u32);
         self.ops.push(Op::Softmax(Softmax { logarithm, columns, from, to }));
-        self.restored(node, to, &value, &order)
+        self.restored(node, to, &value.shape, &order)
     }
 
     /// The logarithm of the numbers that a softmax gives: taken of its rows, as a softmax ends at e⁻⁸⁷; of what 32 bits
@@ -45,13 +46,13 @@ impl Lowering<'_> {
     }
 
     pub(super) fn reduce(&mut self, node: &TypedNode, op: &nn::Reduce) -> Lowered<()> {
-        let value = self.operand(node, 0)?;
         if op.reducer == Reducer::Prod {
+            let value = self.operand(node, 0)?;
             let place = self.product_of_rows(node, &value, &op.axes)?;
             return self.give(node, 0, place);
         }
-        let (order, columns) = rows(&value.shape, &op.axes);
-        let from = self.permuted(node, &value, &order)?;
+        let (order, columns) = rows(&self.input_shape(node)?, &op.axes);
+        let from = self.reordered(node, 0, &order)?;
         let place = match op.reducer {
             Reducer::Sum => self.reduced(Reduction::Sum, columns, from),
             Reducer::Max => self.reduced(Reduction::Maximum, columns, from),
@@ -74,9 +75,9 @@ impl Lowering<'_> {
 
     /// Divides rows by the root of the mean of their squares; what layer normalisation does besides are nodes of their own.
     pub(super) fn normalise(&mut self, node: &TypedNode, norm: &nn::RmsNorm) -> Lowered<()> {
-        let value = self.operand(node, 0)?;
-        let (order, columns) = rows(&value.shape, &[norm.axis]);
-        let from = self.permuted(node, &value, &order)?;
+        let (outlet, shape) = (self.outlet(node, 0)?, self.input_shape(node)?);
+        let (order, columns) = rows(&shape, &[norm.axis]);
+        let from = self.reordered(node, 0, &order)?;
         let epsilon = numbers(&norm.eps).and_then(|epsilon| epsilon.first().copied());
         let epsilon = epsilon.ok_or_else(|| self.unsupported(node, "it lacks its epsilon"))?;
         let to = self.arena.place(from.len as usize);
@@ -89,8 +90,18 @@ impl Lowering<'_> {
             from,
             to,
         }));
-        let place = self.restored(node, to, &value, &order)?;
+        // Rows that are the points of a picture stay those of one.
+        if let Some(picture) = self.values.picture(outlet).filter(|all| all.place == from) {
+            self.values.insert_picture((node.id, 0).into(), Picture { place: to, ..picture });
+            return Ok(());
+        }
+        let place = self.restored(node, to, &shape, &order)?;
         self.give(node, 0, place)
+    }
+
+    fn input_shape(&self, node: &TypedNode) -> Lowered<Vec<usize>> {
+        let outlet = self.outlet(node, 0)?;
+        self.shape(self.model.node(outlet.node), outlet.slot)
     }
 
     pub(super) fn reduced(&mut self, reduction: Reduction, columns: usize, from: Place) -> Place {
@@ -99,19 +110,19 @@ impl Lowering<'_> {
         to
     }
 
-    /// Rows whose axes were put behind each other, in the value's own order.
+    /// Rows whose axes were put behind each other, in the order of the value's own shape.
     fn restored(
         &mut self,
         node: &TypedNode,
         place: Place,
-        value: &Value,
+        shape: &[usize],
         order: &[usize],
     ) -> Lowered<Place> {
         if order.is_sorted() {
             return Ok(place);
         }
-        let sizes: Vec<usize> = order.iter().map(|axis| value.shape[*axis]).collect();
-        let (from, own) = (strides(&sizes), strides(&value.shape));
+        let sizes: Vec<usize> = order.iter().map(|axis| shape[*axis]).collect();
+        let (from, own) = (strides(&sizes), strides(shape));
         let dimensions: Vec<Dimension> = (order.iter().zip(&from).zip(&sizes))
             .map(|((axis, from), size)| Dimension { size: *size, from: *from, to: own[*axis] })
             .collect();
@@ -199,7 +210,7 @@ impl Lowering<'_> {
         let to = self.arena.place(left.len as usize);
         let [rows, inner] = [left.len as usize / columns.max(1), columns].map(|n| n as u32);
         self.ops.push(Op::Multiply(Multiply { rows, inner, columns: inner, left, right, to }));
-        let place = self.restored(node, to, &value, &order)?;
+        let place = self.restored(node, to, &value.shape, &order)?;
         self.give(node, 0, place)
     }
 
@@ -236,7 +247,7 @@ impl Lowering<'_> {
         let rows_of = self.permuted(node, &value, &order)?;
         let asked = self.permuted(node, &places, &order)?;
         let place = self.picked_of_rows(rows_of, asked, columns);
-        let place = self.restored(node, place, &places, &order)?;
+        let place = self.restored(node, place, &places.shape, &order)?;
         self.give(node, 0, place)
     }
 

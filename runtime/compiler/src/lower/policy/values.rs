@@ -26,7 +26,9 @@ pub(super) struct Values {
     pictures: HashMap<OutletId, Picture>,
     /// Pictures with the border of zeros that their only reader wants, as it reads them.
     framed: HashMap<OutletId, Place>,
-    /// While a function of every number is lowered: the pictures that it works on as they are.
+    /// Values whose axes stand in another order once more.
+    pub(super) permuted: HashMap<(OutletId, Vec<usize>), Place>,
+    /// While a function of every number is lowered: the picture in whose order it works.
     pub(super) as_picture: Option<Picture>,
 }
 
@@ -49,6 +51,12 @@ impl Values {
     /// The picture that stands in its own order, unless it stands in the graph's as well.
     pub(super) fn picture(&self, outlet: OutletId) -> Option<Picture> {
         self.pictures.get(&outlet).copied()
+    }
+
+    /// Whether a value stands in the order of the picture in whose order the function at hand works.
+    pub(super) fn stands(&self, outlet: OutletId) -> bool {
+        let own = self.picture(outlet);
+        own.zip(self.as_picture).is_some_and(|(own, wanted)| own.is_like(&wanted))
     }
 
     pub(super) fn insert_framed(&mut self, outlet: OutletId, place: Place) {
@@ -81,7 +89,7 @@ impl Lowering<'_> {
     pub(super) fn value(&mut self, outlet: OutletId) -> Lowered<Value> {
         let node = self.model.node(outlet.node);
         let picture = self.values.picture(outlet);
-        if let (Some(picture), Some(_)) = (picture, self.values.as_picture) {
+        if let (Some(picture), true) = (picture, self.values.stands(outlet)) {
             return Ok(Value { place: picture.place, shape: self.shape(node, outlet.slot)? });
         }
         if let Some(value) = self.values.in_order.get(&outlet) {

@@ -2,7 +2,7 @@
 
 use sortie_core::internal::kernels::build::Build;
 use sortie_core::internal::ops::{Members, OutputRows};
-use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile, ProgramDraft};
+use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile, ProgramDraft, Proof};
 use sortie_core::{DecideError, Entities, EntityMask, PlanPolicy};
 
 use super::agent::bits;
@@ -79,7 +79,7 @@ impl Critic {
             network: Network::Entities,
             contract: 0,
             t_max: groups as u16,
-            max_error: 0.0,
+            proof: Proof::NONE,
             action_mismatch: 0.0,
         };
         AlignedBytes::copy_of(&assemble(&program, &weights.to_bytes(), sizes, &origin).unwrap())

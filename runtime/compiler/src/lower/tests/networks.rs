@@ -6,7 +6,7 @@ use sortie_bundle::{OwnedObservation, Recording};
 use sortie_core::NO_ACTION;
 use sortie_core::plan::{
     AlignedBytes, Checksums, HEADER_BYTES, Header, Network, Plan, Profile, Program, ProgramDraft,
-    checksums,
+    Proof, checksums,
 };
 
 use crate::lower::{AgentSizes, Choice, Origin, assemble, lower_agent, lower_agent_int8};
@@ -119,7 +119,7 @@ pub(crate) fn plan_that(choice: Choice, layers: &AgentLayers, shape: Shape) -> V
         network: Network::Agent,
         contract: 0,
         t_max: 0,
-        max_error: 0.0,
+        proof: Proof::NONE,
         action_mismatch: 0.0,
     };
     assemble(&program, &weights.to_bytes(), sizes, &origin).unwrap()
@@ -145,7 +145,7 @@ pub(crate) fn int8_plan_for(
         network: Network::Agent,
         contract: 0,
         t_max: 0,
-        max_error: 0.0,
+        proof: Proof::NONE,
         action_mismatch: 0.0,
     };
     assemble(&program, &weights.bytes, sizes, &origin).unwrap()

@@ -4,7 +4,7 @@ use safetensors::SafeTensors;
 use sortie_bundle::OwnedAllocationState;
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::{Draw, largest_open};
-use sortie_core::plan::{AlignedBytes, Network, Plan, Profile};
+use sortie_core::plan::{AlignedBytes, Network, Plan, Profile, Proof};
 use sortie_core::{EntityMask, UNASSIGNED};
 
 use crate::lower::{AgentSizes, Choice, Origin, assemble, lower_proposals};
@@ -28,7 +28,7 @@ pub(crate) fn plan(layers: &ProposalLayers, n_max: usize, profile: Profile) -> A
         network: Network::Proposals,
         contract: 0,
         t_max: layers.trunk.tasks.inputs as u16,
-        max_error: 0.0,
+        proof: Proof::NONE,
         action_mismatch: 0.0,
     };
     AlignedBytes::copy_of(&assemble(&program, &weights.to_bytes(), sizes, &origin).unwrap())

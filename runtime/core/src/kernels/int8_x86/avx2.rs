@@ -11,6 +11,7 @@ use core::arch::x86_64::{
 
 use zerocopy::transmute;
 
+use super::products::products;
 use super::{MAGNITUDE, filled};
 use crate::kernels::int8::{
     Count, INPUTS, Inputs, IntegerRows, Lanes, Marked, PAIRS, Pair, Row, STRIP, Scale, Strips,
@@ -19,25 +20,27 @@ use crate::kernels::patches::Runs;
 
 /// Sums of a strip, eight columns in each vector.
 type Sums = [__m256i; 2];
+/// A row of weights as int16.
+type Weights = [__m256i; 2];
 
-/// Adds a row of weights, times its pair of inputs.
+products! { "avx2,bmi1,bmi2,lzcnt,popcnt" }
+
 #[inline]
 #[target_feature(enable = "avx2")]
-fn add_row(sums: Sums, row: &Row, inputs: Pair) -> Sums {
-    add_widened(sums, widened(row), transmute!(inputs))
+fn zero() -> Sums {
+    [_mm256_setzero_si256(); 2]
 }
 
-/// A row of weights as int16.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn widened(row: &Row) -> [__m256i; 2] {
+fn widened(row: &Row) -> Weights {
     let [low, high]: [__m128i; 2] = transmute!(*row);
     [_mm256_cvtepi8_epi16(low), _mm256_cvtepi8_epi16(high)]
 }
 
 #[inline]
 #[target_feature(enable = "avx2")]
-fn add_widened([a, b]: Sums, [low, high]: [__m256i; 2], pair: i32) -> Sums {
+fn add_widened([a, b]: Sums, [low, high]: Weights, pair: i32) -> Sums {
     let inputs = _mm256_set1_epi32(pair);
     let (low, high) = (_mm256_madd_epi16(low, inputs), _mm256_madd_epi16(high, inputs));
     [_mm256_add_epi32(a, low), _mm256_add_epi32(b, high)]
@@ -49,84 +52,12 @@ fn add_sums([a, b]: Sums, [c, d]: Sums) -> Sums {
     [_mm256_add_epi32(a, c), _mm256_add_epi32(b, d)]
 }
 
-/// [`crate::kernels::int8::Lanes::add_strip`] with `SETS` sums for every column, so that additions need not wait for each other.
-#[inline]
-#[target_feature(enable = "avx2")]
-pub(super) fn add_strip<const COUNT: usize, const SETS: usize>(
-    rows: &[[Row; PAIRS]],
-    inputs: [&[Inputs]; COUNT],
-) -> [[i32; STRIP]; COUNT] {
-    let mut sums = [[[_mm256_setzero_si256(); 2]; SETS]; COUNT];
-    for (index, rows) in rows.iter().enumerate() {
-        for (sums, inputs) in sums.iter_mut().zip(inputs) {
-            // Inputs do not end before the rows; zeros that stand for them need no way out of the loop.
-            let inputs = inputs.get(index).unwrap_or(&[[0; 2]; PAIRS]);
-            let sets = rows.as_chunks::<SETS>().0.iter().zip(inputs.as_chunks::<SETS>().0);
-            for (rows, inputs) in sets {
-                for ((sum, row), pair) in sums.iter_mut().zip(rows).zip(inputs) {
-                    *sum = add_row(*sum, row, *pair);
-                }
-            }
-        }
-    }
-    // Closures would stay calls: what maps arrays is not built for these instructions.
-    let mut joined = [[0; STRIP]; COUNT];
-    for (joined, sums) in joined.iter_mut().zip(sums) {
-        let mut total = [_mm256_setzero_si256(); 2];
-        for set in sums {
-            total = add_sums(total, set);
-        }
-        *joined = transmute!(total);
-    }
-    joined
-}
-
 /// Patches whose sums, two vectors each, fit into sixteen registers beside weights.
 pub(super) const PATCHES: usize = 6;
 
-/// [`crate::kernels::int8::Lanes::add_runs`].
-#[inline]
-#[target_feature(enable = "avx2")]
-pub(super) fn add_runs<const COUNT: usize>(
-    rows: &[Row],
-    runs: Runs<'_, i16>,
-    at: [usize; COUNT],
-) -> [[i32; STRIP]; COUNT] {
-    let mut sums = [[_mm256_setzero_si256(); 2]; COUNT];
-    // Checked once and not for each pair, which are as many as the products of a vector.
-    if runs.are_inside(&at, rows.len(), 2) {
-        let mut row = rows.as_ptr();
-        for outer in 0..runs.counts[0] {
-            for inner in 0..runs.counts[1] {
-                let run = outer * runs.steps[0] + inner * runs.steps[1];
-                let run = runs.from.as_ptr().wrapping_add(run);
-                for pair in 0..runs.length.div_ceil(2) {
-                    // SAFETY: there is a row for every pair of all runs.
-                    #[allow(unsafe_code)]
-                    let weights = widened(unsafe { &*row });
-                    row = row.wrapping_add(1);
-                    for (sum, at) in sums.iter_mut().zip(at) {
-                        // SAFETY: every run lies inside the picture, its last pair whole.
-                        #[allow(unsafe_code)]
-                        let pair: i32 = unsafe {
-                            run.wrapping_add(at + 2 * pair).cast::<i32>().read_unaligned()
-                        };
-                        *sum = add_widened(*sum, weights, pair);
-                    }
-                }
-            }
-        }
-    }
-    let mut results = [[0; STRIP]; COUNT];
-    for (result, sum) in results.iter_mut().zip(sums) {
-        *result = transmute!(sum);
-    }
-    results
-}
-
 /// [`crate::kernels::int8::Lanes::add_two_strips`].
 #[inline]
-#[target_feature(enable = "avx2")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
 pub(super) fn add_two_strips(rows: [&[[Row; PAIRS]]; 2], inputs: &[Inputs]) -> [[i32; STRIP]; 2] {
     let [first, second] = rows;
     let mut sums = [[[_mm256_setzero_si256(); 2]; 2]; 2];
@@ -157,32 +88,6 @@ fn not_zero(values: &[f32; STRIP]) -> u8 {
     let low = _mm256_movemask_pd(_mm256_castsi256_pd(low)) as u8;
     let high = _mm256_movemask_pd(_mm256_castsi256_pd(high)) as u8;
     !(low | high << 4)
-}
-
-/// [`crate::kernels::int8::Lanes::add_marked`].
-#[inline]
-#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-pub(super) fn add_marked<const COUNT: usize>(
-    lanes: impl Lanes,
-    strips: Strips<'_>,
-    inputs: Marked<'_>,
-    outputs: &mut [f32],
-) {
-    let mut sums = [[_mm256_setzero_si256(); 2]; COUNT];
-    strips.for_each::<COUNT>(
-        inputs,
-        |values| not_zero(values),
-        |rows, pair| {
-            for (sum, row) in sums.iter_mut().zip(rows) {
-                *sum = add_row(*sum, row, pair);
-            }
-        },
-    );
-    let mut joined = [[0; STRIP]; COUNT];
-    for (joined, sum) in joined.iter_mut().zip(sums) {
-        *joined = transmute!(sum);
-    }
-    strips.matrix.finish(lanes, strips.first, &joined, inputs.step, outputs);
 }
 
 /// [`crate::kernels::int8::Lanes::largest_magnitude`].

@@ -10,6 +10,7 @@ use core::arch::x86_64::{
 
 use zerocopy::transmute;
 
+use super::products::products;
 use super::{MAGNITUDE, filled};
 use crate::kernels::int8::{
     Count, INPUTS, Inputs, IntegerRows, Lanes, Marked, PAIRS, Pair, ROUND, Row, STRIP, Scale,
@@ -17,99 +18,44 @@ use crate::kernels::int8::{
 };
 use crate::kernels::patches::Runs;
 
-/// Adds a row of weights, times its pair of inputs.
+/// Sums of a strip.
+type Sums = __m512i;
+/// A row of weights as int16.
+type Weights = __m512i;
+
+products! { "avx2,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512vnni" }
+
 #[inline]
-#[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
-fn add_row(sums: __m512i, row: &Row, inputs: Pair) -> __m512i {
-    _mm512_dpwssd_epi32(sums, widened(row), _mm512_set1_epi32(transmute!(inputs)))
+#[target_feature(enable = "avx512f")]
+fn zero() -> Sums {
+    _mm512_setzero_si512()
 }
 
-/// A row of weights as int16.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw")]
-fn widened(row: &Row) -> __m512i {
+fn widened(row: &Row) -> Weights {
     let row: __m256i = transmute!(*row);
     _mm512_cvtepi8_epi16(row)
 }
 
-/// [`crate::kernels::int8::Lanes::add_strip`] with `SETS` sums for every column, so that additions need not wait for each other.
 #[inline]
-#[target_feature(enable = "avx2,avx512f,avx512bw,avx512vnni")]
-pub(super) fn add_strip<const COUNT: usize, const SETS: usize>(
-    rows: &[[Row; PAIRS]],
-    inputs: [&[Inputs]; COUNT],
-) -> [[i32; STRIP]; COUNT] {
-    let mut sums = [[_mm512_setzero_si512(); SETS]; COUNT];
-    for (index, rows) in rows.iter().enumerate() {
-        for (sums, inputs) in sums.iter_mut().zip(inputs) {
-            // Inputs do not end before the rows; zeros that stand for them need no way out of the loop.
-            let inputs = inputs.get(index).unwrap_or(&[[0; 2]; PAIRS]);
-            let sets = rows.as_chunks::<SETS>().0.iter().zip(inputs.as_chunks::<SETS>().0);
-            for (rows, inputs) in sets {
-                for ((sum, row), pair) in sums.iter_mut().zip(rows).zip(inputs) {
-                    *sum = add_row(*sum, row, *pair);
-                }
-            }
-        }
-    }
-    // Closures would stay calls: what maps arrays is not built for these instructions.
-    let mut joined = [[0; STRIP]; COUNT];
-    for (joined, sums) in joined.iter_mut().zip(sums) {
-        let mut total = _mm512_setzero_si512();
-        for set in sums {
-            total = _mm512_add_epi32(total, set);
-        }
-        *joined = transmute!(total);
-    }
-    joined
+#[target_feature(enable = "avx512f,avx512vnni")]
+fn add_widened(sums: Sums, weights: Weights, pair: i32) -> Sums {
+    _mm512_dpwssd_epi32(sums, weights, _mm512_set1_epi32(pair))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn add_sums(left: Sums, right: Sums) -> Sums {
+    _mm512_add_epi32(left, right)
 }
 
 /// Patches whose sums fit into registers; their starts are as many as there are general registers.
 pub(super) const PATCHES: usize = 14;
 
-/// [`crate::kernels::int8::Lanes::add_runs`].
-#[inline]
-#[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
-pub(super) fn add_runs<const COUNT: usize>(
-    rows: &[Row],
-    runs: Runs<'_, i16>,
-    at: [usize; COUNT],
-) -> [[i32; STRIP]; COUNT] {
-    let mut sums = [_mm512_setzero_si512(); COUNT];
-    // Checked once and not for each pair, which are as many as the products of a vector.
-    if runs.are_inside(&at, rows.len(), 2) {
-        let mut row = rows.as_ptr();
-        for outer in 0..runs.counts[0] {
-            for inner in 0..runs.counts[1] {
-                let run = outer * runs.steps[0] + inner * runs.steps[1];
-                let run = runs.from.as_ptr().wrapping_add(run);
-                for pair in 0..runs.length.div_ceil(2) {
-                    // SAFETY: there is a row for every pair of all runs.
-                    #[allow(unsafe_code)]
-                    let weights = widened(unsafe { &*row });
-                    row = row.wrapping_add(1);
-                    for (sum, at) in sums.iter_mut().zip(at) {
-                        // SAFETY: every run lies inside the picture, its last pair whole.
-                        #[allow(unsafe_code)]
-                        let pair: i32 = unsafe {
-                            run.wrapping_add(at + 2 * pair).cast::<i32>().read_unaligned()
-                        };
-                        *sum = _mm512_dpwssd_epi32(*sum, weights, _mm512_set1_epi32(pair));
-                    }
-                }
-            }
-        }
-    }
-    let mut results = [[0; STRIP]; COUNT];
-    for (result, sum) in results.iter_mut().zip(sums) {
-        *result = transmute!(sum);
-    }
-    results
-}
-
 /// [`crate::kernels::int8::Lanes::add_two_strips`].
 #[inline]
-#[target_feature(enable = "avx2,avx512f,avx512bw,avx512vnni")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512vnni")]
 pub(super) fn add_two_strips(rows: [&[[Row; PAIRS]]; 2], inputs: &[Inputs]) -> [[i32; STRIP]; 2] {
     let [first, second] = rows;
     let mut sums = [[_mm512_setzero_si512(); 2]; PAIRS];
@@ -135,32 +81,6 @@ pub(super) fn add_two_strips(rows: [&[[Row; PAIRS]]; 2], inputs: &[Inputs]) -> [
 fn not_zero(values: &[f32; STRIP]) -> u8 {
     let values: __m512i = transmute!(*values);
     _mm512_test_epi64_mask(values, _mm512_set1_epi32(MAGNITUDE))
-}
-
-/// [`crate::kernels::int8::Lanes::add_marked`].
-#[inline]
-#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512bw,avx512vnni")]
-pub(super) fn add_marked<const COUNT: usize>(
-    lanes: impl Lanes,
-    strips: Strips<'_>,
-    inputs: Marked<'_>,
-    outputs: &mut [f32],
-) {
-    let mut sums = [_mm512_setzero_si512(); COUNT];
-    strips.for_each::<COUNT>(
-        inputs,
-        |values| not_zero(values),
-        |rows, pair| {
-            for (sum, row) in sums.iter_mut().zip(rows) {
-                *sum = add_row(*sum, row, pair);
-            }
-        },
-    );
-    let mut joined = [[0; STRIP]; COUNT];
-    for (joined, sum) in joined.iter_mut().zip(sums) {
-        *joined = transmute!(sum);
-    }
-    strips.matrix.finish(lanes, strips.first, &joined, inputs.step, outputs);
 }
 
 /// [`crate::kernels::int8::Lanes::largest_magnitude`].

@@ -60,7 +60,7 @@ impl Operator for Multiply {
     #[inline(always)]
     fn run<K: Kernels>(
         &self,
-        _: K,
+        kernels: K,
         _: &[f32],
         _: &Observation<'_>,
         scratch: &mut Scratch<'_>,
@@ -71,15 +71,7 @@ impl Operator for Multiply {
         let matrices = left.chunks_exact((rows * inner).max(1));
         let matrices = matrices.zip(right.chunks_exact((inner * columns).max(1)));
         for ((left, right), to) in matrices.zip(to.chunks_exact_mut((rows * columns).max(1))) {
-            let rows = left.chunks_exact(inner.max(1)).zip(to.chunks_exact_mut(columns.max(1)));
-            for (left, to) in rows {
-                to.fill(0.0);
-                for (factor, right) in left.iter().zip(right.chunks_exact(columns.max(1))) {
-                    for (to, right) in to.iter_mut().zip(right) {
-                        *to += factor * right;
-                    }
-                }
-            }
+            kernels.multiply(left, right, [inner, columns], to);
         }
         Ok(())
     }

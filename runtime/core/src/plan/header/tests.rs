@@ -15,7 +15,7 @@ fn header() -> Header {
         weights_len: 4_096,
         source: [7; 32],
         contract: 0x0123_4567_89ab_cdef,
-        max_error: 1.5e-7,
+        proof: Proof::Distance { max_distance: 2.5, inputs: 0x0201 },
         action_mismatch: 0.0,
         profile: Profile::Exact,
         network: Network::Agent,
@@ -36,31 +36,36 @@ fn comes_back_as_it_was_written() {
 #[test]
 fn fields_stand_where_the_format_says() {
     let bytes = header().to_bytes(Checksums { program: 0xaabb_ccdd, weights: 0x1122_3344 });
-    assert_eq!(&bytes[..16], b"SORTIEPL\x02\0\0\0\x04\x03\x02\x01");
+    assert_eq!(&bytes[..16], b"SORTIEPL\x02\0\x03\0\x04\x03\x02\x01");
     assert_eq!(bytes[16..20], 1_u32.to_le_bytes());
     assert_eq!(bytes[28..32], 11_u32.to_le_bytes());
     assert_eq!(bytes[44..48], 128_u32.to_le_bytes());
     assert_eq!(bytes[60..64], 0xaabb_ccdd_u32.to_le_bytes());
     assert_eq!(bytes[64..68], 0x1122_3344_u32.to_le_bytes());
     assert_eq!(bytes[68..100], [7; 32]);
-    assert_eq!(bytes[108..112], 1.5e-7_f32.to_le_bytes());
+    assert_eq!(bytes[108..112], 2.5_f32.to_le_bytes());
     assert_eq!(bytes[116..120], [0, 0, 6, 0]);
     assert_eq!(bytes[120..124], [1, 2, 3, 4]);
-    assert_eq!(bytes[124..], [0; 4]);
+    assert_eq!(bytes[124..], [0, 0, 1, 2]);
 }
 
 #[test]
 fn a_plan_with_a_skip_says_so() {
     let with = Header { skip: true, ..header() };
     let bytes = with.to_bytes(Checksums::default());
-    assert_eq!((&bytes[8..12], &bytes[124..]), (&[2, 0, 0, 0][..], &[1, 0, 0, 0][..]));
-    // A policy says what its inputs are.
-    let policy = Header { network: Network::Policy, ..header() };
-    assert_eq!(policy.to_bytes(Checksums::default())[8..12], [2, 0, 1, 0]);
+    assert_eq!(bytes[124..126], [1, 0]);
     assert_eq!(Header::read(&bytes), Ok((with, Checksums::default())));
-    // And weights of int8 are laid out as older builds do not read them.
-    let int8 = Header { profile: Profile::Int8, layout: LAYOUT_INT8, ..header() };
-    assert_eq!(int8.to_bytes(Checksums::default())[8..12], [2, 0, 2, 0]);
+}
+
+#[test]
+fn plans_of_before_say_their_error_and_go_on_saying_it() {
+    let before = Header { proof: Proof::Error { max_rel_error: 1.5e-7 }, ..header() };
+    let mut bytes = before.to_bytes(Checksums::default());
+    assert_eq!((&bytes[8..12], &bytes[124..]), (&[2, 0, 2, 0][..], &[0; 4][..]));
+    for minor in 0..=2 {
+        bytes[10] = minor;
+        assert_eq!(Header::read(&bytes), Ok((before, Checksums::default())), "{minor}");
+    }
 }
 
 #[test]
@@ -72,8 +77,8 @@ fn refuses_what_it_cannot_read() {
         Header::read(&changed).map(|_| ())
     };
     assert_eq!(with(0, b'X'), Err(PlanError::BadMagic));
-    assert_eq!(with(8, 1), Err(PlanError::Version { major: 1, minor: 0 }));
-    assert_eq!(with(10, 3), Err(PlanError::Version { major: 2, minor: 3 }));
+    assert_eq!(with(8, 1), Err(PlanError::Version { major: 1, minor: 3 }));
+    assert_eq!(with(10, 4), Err(PlanError::Version { major: 2, minor: 4 }));
     assert_eq!(with(124, 2), Err(PlanError::UnknownOp));
     assert_eq!(with(12, 1), Err(PlanError::Endian));
     assert_eq!(with(116, 9), Err(PlanError::WrongProfile { got: 9 }));

@@ -226,7 +226,8 @@ fn rows_are_reduced_weighed_and_normalised() {
 #[test]
 fn matrices_are_multiplied() {
     let mut random = Random(6);
-    let (count, rows, inner, columns) = (2, 3, 5, 4);
+    // More rows than are worked on together, and more columns than fill a register.
+    let (count, rows, inner, columns) = (2, 10, 5, 19);
     let left = numbers(&mut random, count * rows * inner);
     let right = numbers(&mut random, count * inner * columns);
     let got = step(&[&left, &right], count * rows * columns, |from, to| {

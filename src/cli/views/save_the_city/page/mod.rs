@@ -102,7 +102,7 @@ pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Fai
         env: set.to_string(),
         episode: Some((seed, number)),
         notes,
-        ..data_of(wanted.subject.display().to_string(), captured)
+        ..data_of(wanted.name(), captured)
     }))
 }
 

@@ -244,6 +244,9 @@ impl Worlds {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
+    use sortie_envs::save_the_city::{Scenario, ScenarioSet};
     use sortie_learn::random::{Purpose, generator};
 
     use super::*;
@@ -278,6 +281,21 @@ mod tests {
         assert_eq!(burned as f64, (1000.0 * (1.0 - heuristic.metrics["none_burned"])).round());
         let [low, high] = coordinated.success_ci95;
         assert!(low < coordinated.success && coordinated.success < high);
+    }
+
+    /// Whatever list the environment was opened for.
+    #[test]
+    fn a_team_is_measured_on_the_test_list_of_scenarios() {
+        let name = "save-the-city/2-8a_2-8b_sim_Q1";
+        let opened = sortie_envs::open(name, Split::Train, 1, &Default::default()).unwrap();
+        let plan = EvaluationPlan::new(&*opened, 100, 1);
+        let mut team = ScriptedActors::new(1);
+        let measured = evaluate(&plan, &mut team, &mut RuleAllocator("heuristic")).unwrap();
+        let letters =
+            |scenario: &Scenario| scenario.team.iter().map(|kind| kind.letter()).collect();
+        let set = ScenarioSet::named("2-8a_2-8b_sim_Q1").unwrap();
+        let teams: BTreeSet<String> = set.test.iter().map(letters).collect();
+        assert_eq!(measured.by_team.into_keys().collect::<BTreeSet<_>>(), teams);
     }
 
     #[test]

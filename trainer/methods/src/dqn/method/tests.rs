@@ -7,6 +7,7 @@ use sortie_learn::session::Setup;
 
 use super::super::DQN;
 use super::*;
+use crate::options::End;
 use crate::options::naive::{greedy, values};
 
 /// Short episodes of iron, drawn actions, and an agent that has seen so many steps of each of four instances.
@@ -89,4 +90,18 @@ fn the_chance_of_a_drawn_action_changes_in_a_straight_line() {
     for (step, want) in [(400_000, 0.275), (800_000, 0.05), (1_000_000, 0.05)] {
         assert!((at(step) - want).abs() < 1e-5, "{step}");
     }
+}
+
+/// Episodes of 60 steps are stretches of up to 51, and the rest, behind which the time was over.
+#[test]
+fn stretches_say_how_they_left_their_episode() {
+    let (dqn, _) = played(130, &[]);
+    let mut steps = 0;
+    let mut ends = Vec::new();
+    while let Some(option) = dqn.recorder.replay.option((0, ends.len() as u32)) {
+        steps += u32::from(option.steps);
+        assert_eq!(option.end == End::TimedOut, steps.is_multiple_of(60), "{option:?}");
+        ends.push(option.end);
+    }
+    assert_eq!(ends.iter().filter(|end| **end == End::TimedOut).count(), 2);
 }

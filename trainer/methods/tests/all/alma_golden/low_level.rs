@@ -239,10 +239,11 @@ fn assert_near(what: &str, got: f64, want: f64, tolerance: f64) {
     assert!((got - want).abs() <= tolerance, "{what}: {got} against {want}");
 }
 
-fn check_step(name: &str, conditioning: Conditioning) {
-    let case = safetensors_case("learner", name);
-    let windows = windows::windows(&case);
-    let mut learner = learner(&case, conditioning);
+/// Descends the loss of a recorded batch, and compares what is learned: targets, where they are, and the statistics that
+/// follow them. Loss and norm of the gradient come with the learner.
+fn check_targets(case: &Case, conditioning: Conditioning) -> (LowLevel, [f64; 2]) {
+    let windows = windows::windows(case);
+    let mut learner = learner(case, conditioning);
     let report = learner.descend(&windows, 1, &mut generator(1, Purpose::Replay, 0));
 
     let steps = windows.shape.steps;
@@ -257,13 +258,18 @@ fn check_step(name: &str, conditioning: Conditioning) {
         let normalised = learner.online.popart.normalise(term.target);
         assert_near("normalised", normalised, case.get("out/targets_normalised").data[at], 1e-5);
     }
-    assert_eq!(mask, case.get("out/td_mask").data, "{name}: mask");
+    assert_eq!(mask, case.get("out/td_mask").data, "{}: mask", case.name);
     let popart = learner.online.popart;
     assert_near("mean", popart.mean, case.get("out/popart_mean").data[0], 1e-6);
     assert_near("variance", popart.variance, case.get("out/popart_var").data[0], 1e-6);
-    assert_near("loss", report.loss, case.get("out/stat/losses.q_loss").data[0], 1e-5);
-    let norm = case.get("out/stat/train_metrics.q_grad_norm").data[0];
-    assert_near("norm", report.gradient_norm.into(), norm, 1e-5);
+    (learner, [report.loss, report.gradient_norm.into()])
+}
+
+fn check_step(name: &str, conditioning: Conditioning) {
+    let case = safetensors_case("learner", name);
+    let (mut learner, [loss, norm]) = check_targets(&case, conditioning);
+    assert_near("loss", loss, case.get("out/stat/losses.q_loss").data[0], 1e-5);
+    assert_near("norm", norm, case.get("out/stat/train_metrics.q_grad_norm").data[0], 1e-5);
 
     let want = recorded(&case, "out/grad/");
     assert_eq!(learner.gradient().len(), want.len());
@@ -293,6 +299,15 @@ fn a_step_with_subtasks_agrees() {
 #[test]
 fn a_step_without_subtasks_agrees() {
     check_step("low_flat_0", Conditioning::None);
+}
+
+/// A learner that imagines besides, which none here does, has the same targets; half of its loss is of what is seen.
+#[test]
+fn targets_beside_imagined_ones_agree() {
+    let case = safetensors_case("learner", "low_alma_mask_refil_0");
+    let (_, [loss, _]) = check_targets(&case, Conditioning::Mask);
+    let recorded = |name: &str| case.get(&format!("out/stat/losses.{name}")).data[0];
+    assert_near("loss", 0.5 * loss + 0.5 * recorded("im_loss"), recorded("q_loss"), 1e-5);
 }
 
 /// The optimiser alone, on the recorded gradients. PopArt has rescaled its head before.
