@@ -122,8 +122,9 @@ impl Environment for Failing {
         let mut step = self.inner.step(instance, &self.actions, random)?;
         let Running { agents, failed, last_actions } = &mut self.running[instance];
         last_actions.iter_mut().zip(&self.actions).for_each(|(last, action)| *last = *action as u8);
-        let left = if step.done() { 0 } else { *agents };
-        for agent in 0..left {
+        // Where nobody may fail, nothing is drawn: episodes are those of the environment itself.
+        let at_risk = if step.done() || self.chance == 0.0 { 0 } else { *agents };
+        for agent in 0..at_risk {
             let is_last = failed.count_ones() as usize + 1 == *agents;
             if *failed >> agent & 1 == 0 && chance(random, self.chance) && !is_last {
                 *failed |= 1 << agent;
@@ -325,15 +326,26 @@ mod tests {
     }
 
     #[test]
-    fn nobody_fails_where_teams_are_measured() {
-        let mut city = failing("save-the-city", 1.0).open(1, Split::Test);
-        let mut random = generator(1);
-        city.reset(0, &mut random);
-        let safe = city.spec().safe_action.unwrap();
-        city.step(0, &[safe; 5], &mut random).unwrap();
-        let (mut state, mut seen) = (Vec::new(), Observation::default());
-        city.save(0, &mut state);
-        city.observe(&state, 0, 0, &mut seen);
-        assert_eq!(seen.absent, 0);
+    fn where_teams_are_measured_nobody_fails_and_episodes_are_those_without_failures() {
+        let city = failing("save-the-city", 1.0);
+        let plays = |mut city: Box<dyn Environment>| {
+            let (mut random, mut states) = (generator(1), Vec::new());
+            let safe = [city.spec().safe_action.unwrap(); 5];
+            for _ in 0..3 {
+                city.reset(0, &mut random);
+                while !city.step(0, &safe, &mut random).unwrap().done() {
+                    states.push(Vec::new());
+                    city.save(0, states.last_mut().unwrap());
+                }
+            }
+            states
+        };
+        let plain = plays(city.inner.open(1, Split::Test));
+        let measured = plays(city.open(1, Split::Test));
+        assert_eq!(plain.len(), measured.len());
+        for (plain, measured) in plain.iter().zip(&measured) {
+            assert_eq!(city.split(measured).0, plain);
+            assert_eq!(city.split(measured).1, 0);
+        }
     }
 }
