@@ -33,7 +33,7 @@ fn what_lost_agents_worked_on_is_never_left_to_them() {
     let found = json(&["bench", "losses", BUNDLE, "--lose=0,4", "--episodes=4", "--json"]);
     let handed_over = &found["handed_over"];
     assert!(handed_over["at_work"].as_u64() > Some(4), "{found}");
-    assert_eq!([&handed_over["to_the_lost"], &handed_over["ticks_until_absent"]], [0, 3]);
+    assert_eq!([&handed_over["to_the_lost"], &handed_over["ticks_until_absent"]], [0, 4]);
     let [whole, without] =
         ["whole", "absent_from_the_start"].map(|when| found[when]["solved"].as_u64());
     assert!(whole > without, "{found}");
