@@ -77,7 +77,10 @@ impl Exit {
             ErrorKind::NotFound => Self::Missing,
             ErrorKind::Interrupted => Self::Interrupted,
             // What the system did not say, this program found in the file.
-            ErrorKind::InvalidData | ErrorKind::InvalidInput | ErrorKind::FileTooLarge
+            ErrorKind::InvalidData
+            | ErrorKind::InvalidInput
+            | ErrorKind::IsADirectory
+            | ErrorKind::FileTooLarge
                 if error.raw_os_error().is_none() =>
             {
                 Self::BadData

@@ -59,6 +59,8 @@ pub struct Program {
 /// Does what the command line says.
 pub fn run_program(program: &'static Program) -> ExitCode {
     tools::start(program);
+    // Where it cannot be had the signal ends the process, as it would any other.
+    let _ = sortie_ipc::outlive_file_limits();
     match work(program) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

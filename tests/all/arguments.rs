@@ -98,15 +98,31 @@ fn several_seeds_are_one_figure() {
     assert_eq!(both["episodes"], 80);
     assert_eq!(both["seeds"]["success"]["7"], one["success"]);
     assert_eq!(both["seeds"]["success"]["8"], two["success"]);
-    let mean = |key: &str| {
-        let number = |value: &Value| value[key].as_f64().expect("a number");
-        ((number(&one) + number(&two)) / 2.0 - number(&both)).abs()
-    };
+    let number = |value: &Value, key: &str| value[key].as_f64().expect("a number");
     for key in ["success", "none_burned", "timeouts", "return_mean", "length_mean"] {
-        assert!(mean(key) < 1e-12, "{key}: {both}");
+        let mean = (number(&one, key) + number(&two, key)) / 2.0;
+        assert!((mean - number(&both, key)).abs() < 1e-12, "{key}: {both}");
+    }
+    // Seeds are a sample of all seeds: of two the deviation is their distance over the root of 2.
+    for (key, spread) in [("success", "success_sd"), ("return_mean", "returns_sd")] {
+        let apart = (number(&one, key) - number(&two, key)).abs() / 2.0_f64.sqrt();
+        assert!(apart > 0.0 && (apart - number(&both["seeds"], spread)).abs() < 1e-12, "{spread}");
     }
     assert!(both.get("seed").is_none());
     assert_fails(&output(&["eval", "scripted", "--seeds", "1..2", "--seed", "3"]), 2, &["--seed"]);
+}
+
+#[test]
+fn a_team_that_nobody_allocates_plays_the_episodes_of_the_seed() {
+    let evaluate = |seeds: &[&str]| -> Value {
+        let ring = ["eval", "scripted", "--env", "group-matching/4x3x2", "--episodes", "40"];
+        json(&[&ring[..], &["--json"], seeds].concat())
+    };
+    let (one, two) = (evaluate(&["--seed", "7"]), evaluate(&["--seed", "8"]));
+    assert_ne!(one["return_mean"], two["return_mean"]);
+    let both = evaluate(&["--seeds", "7..8"]);
+    assert_eq!(both["seeds"]["returns"]["7"], one["return_mean"]);
+    assert_eq!(both["seeds"]["returns"]["8"], two["return_mean"]);
 }
 
 #[test]

@@ -8,6 +8,7 @@ mod dependencies;
 mod documentation;
 mod domains;
 mod endings;
+mod exit_codes;
 mod firmware;
 mod foreign;
 mod hard;

@@ -10,7 +10,7 @@ use pyo3::types::{PyByteArray, PyBytes};
 use serde_json::{Value, json};
 use sortie_bundle::files::{Durability, replace_file};
 use sortie_core::plan::Profile;
-use sortie_plans::{CompileOptions, Compiled, CompilerProcess, PolicyOptions, read_onnx};
+use sortie_plans::{CompileOptions, Compiled, CompilerProcess, PolicyOptions, read_plan_or_onnx};
 
 use crate::errors::{exceptions, of_file, within, words};
 
@@ -129,8 +129,10 @@ impl Source {
                 "expected the path or the bytes of a plan or of an ONNX file, not {kind}"
             ))
         })?;
-        let bytes =
-            given.py().detach(|| read_onnx(&path)).map_err(|error| of_file(&path, &error))?;
+        let bytes = given
+            .py()
+            .detach(|| read_plan_or_onnx(&path))
+            .map_err(|error| of_file(&path, &error))?;
         Ok(Self { path: Some(path), bytes })
     }
 

@@ -1,6 +1,7 @@
 //! Errors as the exceptions of `sortie/_errors.py`, in the words of the command line.
 
 use std::error::Error;
+use std::io::ErrorKind;
 use std::path::Path;
 
 use pyo3::exceptions::{PyOSError, PyValueError};
@@ -37,11 +38,19 @@ pub(crate) fn within(name: Option<&Path>, words: String) -> String {
     name.map_or(words.clone(), |name| format!("{}: {words}", name.display()))
 }
 
-/// What the system refused, as the `OSError` that Python would raise.
+/// What the system or a reader refused, as the `OSError` that Python would raise.
 pub(crate) fn of_file(path: &Path, error: &std::io::Error) -> PyErr {
+    // Readers' own refusals have no number; by EISDIR Python makes an `IsADirectoryError`.
+    const EISDIR: i32 = 21;
+    const EINVAL: i32 = 22;
+    let of_kind = match error.kind() {
+        ErrorKind::IsADirectory => EISDIR,
+        _ => EINVAL,
+    };
+    let number = error.raw_os_error().unwrap_or(of_kind);
     let words = error.to_string();
     let words = words.split(" (os error").next().unwrap_or_default().to_owned();
-    PyOSError::new_err((error.raw_os_error(), words, path.display().to_string()))
+    PyOSError::new_err((number, words, path.display().to_string()))
 }
 
 /// Why nothing could be decided.

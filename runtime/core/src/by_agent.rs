@@ -86,7 +86,7 @@ where
         let (policy, seen) = self.own(observation)?;
         let parts = utilities.split_at_mut_checked(policy.actions());
         let (known, unknown) = parts.ok_or(DecideError::BadLength)?;
-        policy.utilities_with(&seen, hidden, known)?;
+        policy.utilities_with(&seen, own_memory(policy, hidden)?, known)?;
         unknown.fill(0.0);
         Ok(())
     }
@@ -97,8 +97,17 @@ where
         hidden: &mut [f32],
     ) -> Result<Decision, DecideError> {
         let (policy, seen) = self.own(observation)?;
-        policy.decide_with(&seen, hidden)
+        policy.decide_with(&seen, own_memory(policy, hidden)?)
     }
+}
+
+/// Of an agent's memory, which has room for that of every policy, as much as its own has.
+fn own_memory<'m>(
+    policy: &impl Policy,
+    memory: &'m mut [f32],
+) -> Result<&'m mut [f32], DecideError> {
+    let (want, got) = (policy.hidden(), memory.len());
+    memory.get_mut(..want).ok_or(DecideError::HiddenState { want, got })
 }
 
 #[cfg(test)]
@@ -147,7 +156,7 @@ mod tests {
             hidden: &mut [f32],
             utilities: &mut [f32],
         ) -> Result<(), DecideError> {
-            assert_eq!(utilities.len(), self.actions);
+            assert_eq!([utilities.len(), hidden.len()], [self.actions, self.memory]);
             hidden[0] += 1.0;
             let scores = (0..).map(|action| self.from + action as f32 * hidden[0]);
             utilities.iter_mut().zip(scores).for_each(|(to, score)| *to = score);

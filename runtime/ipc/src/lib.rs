@@ -41,6 +41,6 @@ pub use processes::{
     world_process_with_fill,
 };
 pub use real_time::RealTime;
-pub use stop::{MonotonicClock, Stop, Wakeable, Waker};
+pub use stop::{MonotonicClock, Stop, Wakeable, Waker, outlive_file_limits};
 pub use supervisor::{Charge, RestartPolicy, Supervision, SupervisorEvent, supervise};
 pub use threads::{ThreadAgent, ThreadAllocator, ThreadWorld, Threads};

@@ -134,9 +134,12 @@ fn explain_bus_errors() -> io::Result<()> {
     unsafe { low_level::register(SIGBUS, explain) }.map(drop)
 }
 
-/// A write beyond the limit of file sizes (`ulimit -f`) fails then, and says so, where the signal would end the process.
+/// Makes a write beyond the limit of file sizes (`ulimit -f`) fail, where its signal would end the process without a word.
+///
+/// # Errors
+/// Those of the system.
 #[allow(unsafe_code)]
-fn outlive_file_limits() -> io::Result<()> {
+pub fn outlive_file_limits() -> io::Result<()> {
     // SAFETY: the action is async-signal-safe: it does nothing.
     unsafe { low_level::register(SIGXFSZ, || {}) }.map(drop)
 }

@@ -131,10 +131,23 @@ pub enum CompileError {
         what: Cow<'static, str>,
     },
     /// A weight is not a finite number.
-    #[error("the {layer} layer holds a weight that is not finite")]
+    #[error("{layer} holds a weight that is not finite")]
     NonFiniteWeight {
-        /// The layer.
+        /// The layer or the constant.
         layer: Cow<'static, str>,
+    },
+    /// Plan and file differ, and the file holds a number beyond what layers learn.
+    #[error(
+        "plan and file differ, and the file multiplies or divides by {weight:e} (the constant `{constant}`): unless that is a \
+         mask's, the file is damaged ({error})"
+    )]
+    WildWeight {
+        /// The constant.
+        constant: String,
+        /// Its number.
+        weight: f32,
+        /// How they differ.
+        error: Box<CompileError>,
     },
     /// The plan is further from the truth than 32 bits account for, so it was thrown away.
     #[error(

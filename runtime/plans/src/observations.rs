@@ -70,7 +70,10 @@ pub fn random_policy_inputs(count: usize, facts: &PolicyFacts, seed: u64) -> Vec
             ValueType::U8 => random.below(256) as f32,
             _ => match input.normals.get(place) {
                 // As wide as a normal's numbers are, nearly all of them.
-                Some([mean, deviation]) => mean + 2.0 * deviation * random.feature(sparse),
+                Some([mean, deviation]) => {
+                    let number = mean + 2.0 * deviation * random.feature(sparse);
+                    number.clamp(f32::MIN, f32::MAX)
+                }
                 None => random.feature(sparse),
             },
         };

@@ -9,6 +9,7 @@ use sortie_plans::{
     CompileError, CompileOptions, Compiled, NetworkFiles, NetworkSizes, ProposalFiles, report,
 };
 
+use crate::flat::wild_constant;
 use crate::graph::{EntityRoles, Graph, Inputs, ProposalPart, TeamRoles};
 use crate::lower::{
     AgentSizes, Choice, EntitySizes, Origin, assemble, lower_agent, lower_agent_int8,
@@ -95,7 +96,10 @@ fn finish(
     };
     let draft = assemble(&program, &weights, sizes, &origin)?;
     let inputs = network.random_inputs(options.inputs, options.seed);
-    let comparison = prove(&draft, graphs, inputs, options)?;
+    let comparison = prove(&draft, graphs, inputs, options).map_err(|error| {
+        let wild = graphs.all().iter().find_map(|graph| wild_constant(&graph.file));
+        blamed_on(wild, error)
+    })?;
     origin.proof = comparison.proof();
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let bytes = assemble(&program, &weights, sizes, &origin)?;
@@ -103,6 +107,18 @@ fn finish(
     let program = Program::read(program.as_slice())?;
     let report = report(&program, sizes.n_max, bytes.len(), &comparison);
     Ok(Compiled { bytes, report })
+}
+
+/// A difference is no fault of the compiler's where the file holds a number as no layer has.
+fn blamed_on(wild: Option<(String, f32)>, error: CompileError) -> CompileError {
+    let differs =
+        matches!(error, CompileError::Wrong { .. } | CompileError::AnswersOtherwise { .. });
+    match wild {
+        Some((constant, weight)) if differs => {
+            CompileError::WildWeight { constant, weight, error: error.into() }
+        }
+        _ => error,
+    }
 }
 
 /// A network as a program.

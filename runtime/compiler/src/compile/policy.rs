@@ -8,7 +8,8 @@ use sortie_plans::{
     random_policy_inputs, relative_error, report,
 };
 
-use crate::flat::{FlatGraph, normaliser, remarks};
+use super::blamed_on;
+use crate::flat::{FlatGraph, normaliser, remarks, wild_constant};
 use crate::graph::guarded;
 use crate::lower::{AgentSizes, Choice, LoweredPolicy, Origin, assemble, lower_policy};
 use crate::networks::TruePolicy;
@@ -69,8 +70,10 @@ pub(crate) fn compile_recorded_policy(
     };
     let draft = AlignedBytes::copy_of(&assemble(&program, &weights, sizes, &origin)?);
     let mut plan = PlanFlatPolicy::load(draft.as_slice(), facts.clone())?;
+    let wild = wild_constant(&graph.file);
     let mut truth = TruePolicy::open(graph)?;
-    let comparison = prove_policy(&mut plan, &mut truth, options, recorded)?;
+    let comparison = prove_policy(&mut plan, &mut truth, options, recorded);
+    let comparison = comparison.map_err(|error| blamed_on(wild, error))?;
     origin.proof = comparison.proof();
     origin.action_mismatch = comparison.action_mismatches as f32 / comparison.inputs.max(1) as f32;
     let mut bytes = assemble(&program, &weights, sizes, &origin)?;
@@ -94,7 +97,6 @@ pub(crate) fn prove_policy(
     let mut proof = Proving {
         comparison: Comparison::new("plan against double precision"),
         distances: Distances::default(),
-        unsure: 0,
         seed,
     };
     let mut states = vec![0.0; facts.state_length()];
@@ -113,7 +115,8 @@ pub(crate) fn prove_policy(
         let given: Vec<&[f32]> = case.inputs.iter().map(Vec::as_slice).collect();
         proof.add(plan, truth, &given, &mut states)?;
     }
-    if inputs > 0 && proof.unsure == inputs {
+    // What both refuse proves nothing either.
+    if inputs > 0 && proof.comparison.refused == inputs {
         let reason = "on no random input does double precision tell whether the plan is right";
         return Err(CompileError::Run { reason: reason.to_owned() });
     }
@@ -135,8 +138,6 @@ fn recorded_at(index: usize, inputs: usize, recorded: &[ProofCase]) -> Option<&P
 struct Proving {
     comparison: Comparison,
     distances: Distances,
-    /// Inputs that tell nothing of the plan.
-    unsure: usize,
     seed: u64,
 }
 
@@ -162,7 +163,6 @@ impl Proving {
         let is_sure = |(number, truth): (&f32, &TrueNumber)| is_closed(*number) || truth.is_sure();
         if !expected.iter().zip(&truths).all(is_sure) {
             // Right engines answer or not, as their rounding falls.
-            self.unsure += 1;
             self.comparison.add_refusal(true);
             states.fill(0.0);
             return Ok(());

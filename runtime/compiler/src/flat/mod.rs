@@ -5,6 +5,7 @@
 
 mod apart;
 mod facts;
+mod finite;
 mod misread;
 mod nodes;
 mod normaliser;
@@ -26,6 +27,7 @@ use selection::Selection;
 use values::{Value, Values, reader};
 
 pub(crate) use facts::{Interface, other_values};
+pub(crate) use finite::wild_constant;
 pub(crate) use normaliser::normaliser;
 pub(crate) use remarks::remarks;
 
@@ -52,6 +54,7 @@ impl FlatGraph {
         let outputs = selection.outputs();
         let file = cut(&file, &outputs);
         file.graph.as_ref().map_or(Ok(()), misread::refuse)?;
+        file.graph.as_ref().map_or(Ok(()), finite::refuse)?;
         misread::refuse_lengths(&file)?;
         let read = || {
             let model = reader().model_for_proto_model(&file)?.into_typed()?;

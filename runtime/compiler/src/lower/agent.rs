@@ -296,7 +296,8 @@ pub(crate) fn check_weights(
     let widest = matrix.inputs.max(matrix.outputs);
     at_most("the width of a layer", widest, usize::from(u16::MAX) / 8)?;
     if matrix.values.iter().chain(bias).any(|value| !value.is_finite()) {
-        return Err(CompileError::NonFiniteWeight { layer: layer.into() });
+        let layer = format!("the {layer} layer").into();
+        return Err(CompileError::NonFiniteWeight { layer });
     }
     Ok(())
 }

@@ -119,6 +119,13 @@ impl Graphs {
         })
     }
 
+    pub(crate) fn all(&self) -> &[Graph] {
+        match self {
+            Self::One(graph) => std::slice::from_ref(graph),
+            Self::Proposals(graphs) => graphs.as_slice(),
+        }
+    }
+
     /// The one whose metadata says what they are for.
     pub(crate) fn first(&self) -> &Graph {
         match self {

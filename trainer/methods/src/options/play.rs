@@ -34,6 +34,15 @@ impl Running {
         before
     }
 
+    /// Goals that were missed since the last milestone, that of the option that ends among them unless it reached one.
+    fn missed_by_now(&mut self, reached: bool) -> Vec<u8> {
+        if reached {
+            return Vec::new();
+        }
+        self.missed.push(self.goal);
+        std::mem::take(&mut self.missed)
+    }
+
     /// Of a mask the goals that were missed least often since the last milestone.
     fn least_missed(&self, mask: u32) -> u32 {
         let missed =
@@ -197,12 +206,9 @@ impl Player {
             let random = &mut random[scene.instance];
             let number = unit(random) as f32;
             let running = &mut running[scene.instance];
-            let (reached, mut missed) =
-                (environment.milestone(scene.instance).is_some(), Vec::new());
-            if chances.varied && !scene.begins && !reached {
-                running.missed.push(running.goal);
-                std::mem::swap(&mut missed, &mut running.missed);
-            }
+            let counts = chances.varied && !scene.begins;
+            let reached = environment.milestone(scene.instance).is_some();
+            let missed = if counts { running.missed_by_now(reached) } else { Vec::new() };
             *running = Running { missed, mask, ..Running::default() };
             let goal = if number < chances.goals {
                 below(random, milestones)
@@ -375,6 +381,13 @@ mod tests {
         assert_eq!(running.least_missed(0b1111), 0b1010);
         let met = [&[1, 2][..], &[2, 1], &[1, 2], &[1, 2]].map(|view| running.meets(view));
         assert_eq!(met, [0, 0, 1, 2]);
+    }
+
+    #[test]
+    fn goals_are_missed_until_a_milestone_is_reached() {
+        let running = Running { goal: 3, missed: vec![1, 3], ..Running::default() };
+        assert_eq!(running.clone().missed_by_now(false), [1, 3, 3]);
+        assert_eq!(running.clone().missed_by_now(true), [0; 0]);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 mod entities;
 mod faults;
 mod files;
+mod finite;
 mod graphs;
 mod loops;
 mod masks;

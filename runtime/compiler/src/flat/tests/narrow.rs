@@ -1,7 +1,8 @@
-//! Files of numbers of 16 bits. Compiling proves each by double precision on 256 inputs.
+//! Files of numbers of 16 and of eight bits. Compiling proves each by double precision on 256 inputs.
 
 use sortie_plans::ValueType;
-use tract_onnx::pb::tensor_proto::DataType::{self, Bfloat16, Float, Float16};
+use tract_onnx::pb::TensorProto;
+use tract_onnx::pb::tensor_proto::DataType::{self, Bfloat16, Float, Float16, Int8};
 
 use super::files::File;
 use super::plans::{compiled, number};
@@ -30,5 +31,31 @@ fn numbers_of_16_bits_are_computed_in_32() {
         let file = file.node_with("Cast", &["sum"], "q", vec![number("to", Float as i64)]);
         let facts = compiled(&file.output("q")).unwrap().facts;
         assert_eq!(facts.parameters, 12);
+    }
+}
+
+#[test]
+fn weights_of_eight_bits_have_a_scale_for_each_column_where_the_file_names_no_axis() {
+    for axis in [None, Some(1), Some(0), Some(-2)] {
+        let mut file = File::default()
+            .input("x", Float, &["1", "4"])
+            .constant("scale", &[4], &[0.5, 0.25, 2.0, 0.125])
+            .node_with(
+                "DequantizeLinear",
+                &["whole", "scale"],
+                "weight",
+                axis.map(|axis| number("axis", axis)).into_iter().collect(),
+            )
+            .node("MatMul", &["x", "weight"], "q");
+        // As many rows as columns: either could have the scales.
+        file.0.initializer.push(TensorProto {
+            name: "whole".to_owned(),
+            data_type: Int8 as i32,
+            dims: vec![4, 4],
+            int32_data: (-8..8).collect(),
+            ..TensorProto::default()
+        });
+        let compiled = compiled(&file.output("q"));
+        assert!(compiled.is_ok(), "{axis:?}: {}", compiled.unwrap_err());
     }
 }

@@ -169,6 +169,16 @@ fn numbers_move_to_places_that_are_constant() {
         "Slice",
         backwards.node("Slice", &["x", "start", "end", "axis", "step"], "q").output("q"),
     );
+    // Every so many from one on: where that is no multiple, the first ones are skipped.
+    for (axis, start, step) in [(2, 1, 2), (2, 2, 3), (1, 1, 2)] {
+        let strided = picture()
+            .whole("start", &[start])
+            .whole("end", &[9])
+            .whole("axis", &[axis])
+            .whole("step", &[step]);
+        let file = strided.node("Slice", &["x", "start", "end", "axis", "step"], "q").output("q");
+        compiles("Slice", file);
+    }
     let file = constant("places", &[1, 3, 2], &[0, -1, 2, 2, 1, 3]);
     let file = file.node_with("GatherElements", &["x", "places"], "q", vec![number("axis", 2)]);
     compiles("GatherElements", file.output("q"));

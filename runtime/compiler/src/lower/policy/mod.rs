@@ -338,15 +338,17 @@ impl<'m> Lowering<'m> {
         Ok(LoweredPolicy { program, weights: self.weights, features, actions })
     }
 
-    /// Whether scores may be minus infinity, where an action must not be chosen: a constant that is chosen, or the
-    /// logarithm of nothing.
+    /// Whether scores may be minus infinity, where an action must not be chosen: a constant that is chosen or added, or
+    /// the logarithm of nothing.
     fn is_masked(&self, outlet: OutletId) -> bool {
         let (mut waiting, mut seen) = (vec![outlet], HashSet::new());
         while let Some(outlet) = waiting.pop() {
             let node = self.model.node(outlet.node);
             let is_sum = |op: &TypedBinOp| ["Add", "Sub", "SubF"].contains(&op.0.name());
             let is_sum = node.op_as::<TypedBinOp>().is_some_and(is_sum);
-            if self.uniform(outlet) == Some(f32::NEG_INFINITY) || self.is_of_nothing(node) {
+            let constant = self.constant(outlet).and_then(|constant| values::numbers(&constant));
+            let closes = constant.is_some_and(|numbers| numbers.contains(&f32::NEG_INFINITY));
+            if closes || self.is_of_nothing(node) {
                 return true;
             }
             let passes = is_sum

@@ -110,7 +110,9 @@ impl Operator for LookUp {
         let columns = (self.columns as usize).max(1);
         let tables = tables.chunks_exact((self.rows as usize).saturating_mul(columns).max(1));
         let each = indices.len().checked_div(tables.len()).unwrap_or(0).max(1);
-        let rows = indices.chunks_exact(each).zip(to.chunks_exact_mut(each * columns));
+        // Chunks of nothing are a panic, and where lengths have 32 bits the product could wrap to zero.
+        let each_to = each.saturating_mul(columns).max(1);
+        let rows = indices.chunks_exact(each).zip(to.chunks_exact_mut(each_to));
         for (table, (indices, to)) in tables.zip(rows) {
             for (index, to) in indices.iter().zip(to.chunks_exact_mut(columns)) {
                 let row = table.get(self.row(*index)? * columns..).ok_or(DecideError::BadLength)?;

@@ -1,0 +1,83 @@
+//! Files with weights that are no numbers.
+
+use prost::Message;
+use sortie_plans::{CompileError, CompileOptions};
+use tract_onnx::pb::ModelProto;
+use tract_onnx::pb::tensor_proto::DataType::Float;
+
+use super::files::File;
+use super::plans::compiled;
+use crate::compile::compile;
+
+const GOLDEN: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/onnx/agent_gru_small.onnx");
+
+const NAN: f32 = f32::NAN;
+const INFINITE: f32 = f32::INFINITY;
+
+/// A layer of four inputs and two outputs with this among its weights, behind what turns them if they are turned.
+fn layer(weight: f32, is_turned: bool) -> File {
+    let mut weights = [0.25; 8];
+    weights[5] = weight;
+    let file = File::default().input("x", Float, &["1", "4"]);
+    let file = file.constant("w", if is_turned { &[2, 4] } else { &[4, 2] }, &weights);
+    let (file, weights) = match is_turned {
+        true => (file.node("Transpose", &["w"], "turned"), "turned"),
+        false => (file, "w"),
+    };
+    file.node("MatMul", &["x", weights], "q").output("q")
+}
+
+#[test]
+fn weights_that_are_no_numbers_are_refused_by_name() {
+    for weight in [NAN, INFINITE, -INFINITE] {
+        for is_turned in [false, true] {
+            let error = compiled(&layer(weight, is_turned)).unwrap_err();
+            assert!(matches!(error, CompileError::NonFiniteWeight { .. }), "{error}");
+            assert!(error.to_string().contains("`w`"), "{error}");
+        }
+    }
+    compiled(&layer(f32::MAX / 1e3, true)).expect("large numbers are numbers");
+}
+
+#[test]
+fn infinity_closes_actions_and_is_a_limit_that_is_none() {
+    let file = |mask: f32, limit: f32| {
+        let file = File::default().input("x", Float, &["1", "4"]).layer("x", [4, 2], "sum");
+        let file = file.constant("mask", &[2], &[0.0, mask]).constant("limit", &[], &[limit]);
+        let file = file.constant("least", &[], &[-5.0]);
+        let file = file.node("Clip", &["sum", "least", "limit"], "some");
+        file.node("Add", &["some", "mask"], "scores").argmax("scores", "action").choice("action")
+    };
+    compiled(&file(-INFINITE, INFINITE)).expect("both have a meaning");
+    for broken in [file(NAN, 5.0), file(-1.0, NAN)] {
+        let error = compiled(&broken).unwrap_err();
+        assert!(matches!(error, CompileError::NonFiniteWeight { .. }), "{error}");
+    }
+}
+
+#[test]
+fn what_never_answers_is_not_proved() {
+    let file = File::default().input("x", Float, &["1", "4"]).constant("zero", &[], &[0.0]);
+    let file =
+        file.node("Sub", &["x", "x"], "none").node("Div", &["none", "zero"], "q").output("q");
+    let error = compiled(&file).unwrap_err();
+    assert!(error.to_string().contains("on no random input"), "{error}");
+}
+
+#[test]
+fn a_difference_is_blamed_on_weights_as_no_layer_has() {
+    let onnx = std::fs::read(GOLDEN).unwrap();
+    let with = |weight: f32| {
+        let mut file = ModelProto::decode(&onnx[..]).unwrap();
+        let tensors = &mut file.graph.as_mut().unwrap().initializer;
+        let scale = tensors.iter_mut().find(|tensor| tensor.name == "attention.scale").unwrap();
+        scale.raw_data = weight.to_le_bytes().to_vec();
+        compile(&file.encode_to_vec(), &CompileOptions::default())
+    };
+    with(0.25).expect("a scale of logits");
+    // Logits beyond those by which the mask closes.
+    let error = with(1.9e31).unwrap_err();
+    let CompileError::WildWeight { constant, weight, .. } = &error else { panic!("{error}") };
+    assert_eq!((constant.as_str(), *weight), ("attention.scale", 1.9e31));
+}
