@@ -6,11 +6,11 @@ use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
 use sortie_bundle::{
-    ContractV1, FallbackAllocation, Golden, Manifest, SubtaskConditioning, WIRE_ABI,
+    ContractV1, FallbackAllocation, Golden, Manifest, SubtaskConditioning, CONTRACT_ABI,
 };
 
 static CONTRACT: LazyLock<ContractV1> = LazyLock::new(|| ContractV1 {
-    abi: WIRE_ABI,
+    abi: CONTRACT_ABI,
     actions: 2,
     features: 3,
     feature_names: ["x", "y", "health"].map(str::to_owned).to_vec(),

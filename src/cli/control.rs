@@ -154,8 +154,11 @@ fn line(answer: &Answer) -> String {
         (true, _) => format!(", serves a policy, observation {tick}"),
     };
     if process.agents != 0 {
-        let agents: Vec<String> = agents(answer).iter().map(u16::to_string).collect();
-        line += &format!(", agents {}", agents.join(" "));
+        line += &format!(", agents {}", listed(process.agents));
+    }
+    if process.absent != 0 {
+        let (absent, since) = (listed(process.absent), process.absent_since as u32);
+        line += &format!(", absent {absent} since tick {since}");
     }
     if process.model != [0; 16] {
         line += &format!(", model {:.8}", model(answer));
@@ -188,9 +191,13 @@ fn outcome(status: Option<ControlStatus>) -> &'static str {
     }
 }
 
-fn agents(answer: &Answer) -> Vec<u16> {
-    let is_one = |agent: &u16| answer.process.agents >> agent & 1 == 1;
-    (0..u64::BITS as u16).filter(is_one).collect()
+/// The agents of these bits.
+fn agents(seats: u64) -> Vec<u16> {
+    (0..u64::BITS as u16).filter(|agent| seats >> agent & 1 == 1).collect()
+}
+
+fn listed(seats: u64) -> String {
+    agents(seats).iter().map(u16::to_string).collect::<Vec<_>>().join(" ")
 }
 
 fn model(answer: &Answer) -> String {
@@ -212,6 +219,9 @@ struct ToldProcess {
     /// The world's term in the upper half.
     tick: u64,
     agents: Vec<u16>,
+    /// Agents of a world for which nobody acts, and the tick since when for the first of them.
+    absent: Vec<u16>,
+    absent_since: Option<u64>,
     model: String,
     term: Option<u32>,
     leads: bool,
@@ -231,7 +241,9 @@ impl ToldProcess {
             pid: process.pid,
             outcome: outcome(answer.status),
             tick: answer.tick,
-            agents: agents(answer),
+            agents: agents(process.agents),
+            absent: agents(process.absent),
+            absent_since: (process.absent != 0).then_some(process.absent_since),
             model: model(answer),
             term: process.term,
             leads: process.term.is_some(),
@@ -255,6 +267,8 @@ mod tests {
             role: Role::World,
             pid: 7,
             agents: 0b101,
+            absent: 0,
+            absent_since: 0,
             model: [0; 16],
             term: Some(2),
             is_paused: true,
@@ -269,6 +283,12 @@ mod tests {
     fn a_line_says_who_answers_and_what_became_of_it() {
         let done = answer(ControlStatus::Done);
         assert_eq!(line(&done), "world 7, tick 30, agents 0 2, leads in term 2, paused");
+        let (absent, absent_since) = (0b11_0000, (2 << 32) + 12);
+        let without =
+            Answer { process: ProcessInfo { absent, absent_since, ..done.process }, ..done };
+        let told =
+            "world 7, tick 30, agents 0 2, absent 4 5 since tick 12, leads in term 2, paused";
+        assert_eq!(line(&without), told);
         let other = Answer { tick: 0, ..answer(ControlStatus::NotSupported) };
         let other = Answer {
             process: ProcessInfo { model: [0xAB; 16], term: None, ..other.process },

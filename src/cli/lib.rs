@@ -39,6 +39,8 @@ mod view;
 mod views;
 pub mod worlds;
 
+pub use views::cast;
+
 use std::process::ExitCode;
 
 use crate::failure::Outcome;

@@ -122,7 +122,8 @@ pub fn suit(entry: &MethodEntry, preset: &str, setup: &mut Setup) -> Outcome {
 
 /// The environment that is asked for.
 pub fn open_environment(choice: &EnvironmentChoice) -> Result<Box<dyn Environment>, LearnError> {
-    Ok(sortie_envs::open(&choice.to_string(), Split::Train, 1, &choice.settings)?)
+    let worlds = sortie_envs::open(&choice.to_string(), Split::Train, 1, &choice.settings)?;
+    Ok(choice.with_failures(worlds))
 }
 
 /// Reads `ENV` or `ENV/SET`; without a set it is the environment's first.

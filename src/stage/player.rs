@@ -30,6 +30,8 @@ pub struct Player<'a, S: Show> {
     before: Option<Shown<S>>,
     now: Shown<S>,
     is_over: bool,
+    /// Absent agents, and the number of the state since when.
+    absent: BTreeMap<usize, usize>,
     rehearsed: UtilityHash,
     decisions: u64,
 }
@@ -76,6 +78,9 @@ struct Decided<S: Show> {
     chosen: Vec<Option<u16>>,
     /// Agents without a process.
     dead: Vec<usize>,
+    /// Agents for which nobody has acted for some states, so that they are left out of allocations, and the number of the
+    /// state since when.
+    absent: Vec<(usize, usize)>,
 }
 
 /// Memory for a team in the worlds of an environment.
@@ -101,8 +106,17 @@ impl<'a, S: Show> Player<'a, S> {
         stage.go_on()?;
         let (facts, state) = stage.world.with(|seen| (S::facts(seen), S::state(seen)));
         let now = Shown { step: None, state };
-        let (rehearsed, decisions) = (UtilityHash::default(), 0);
-        Ok(Self { stage, facts, at: 0, before: None, now, is_over: false, rehearsed, decisions })
+        Ok(Self {
+            stage,
+            facts,
+            at: 0,
+            before: None,
+            now,
+            is_over: false,
+            absent: BTreeMap::new(),
+            rehearsed: UtilityHash::default(),
+            decisions: 0,
+        })
     }
 
     /// What to show first, and what agents think from then on.
@@ -232,6 +246,18 @@ impl<'a, S: Show> Player<'a, S> {
         again.map_err(|error| error.to_string())
     }
 
+    /// Who is absent in the state that is shown, and since which state.
+    fn absent(&mut self, agents: usize) -> Vec<(usize, usize)> {
+        for agent in 0..agents {
+            if self.stage.is_absent(agent) {
+                self.absent.entry(agent).or_insert(self.at);
+            } else {
+                self.absent.remove(&agent);
+            }
+        }
+        self.absent.iter().map(|(agent, since)| (*agent, *since)).collect()
+    }
+
     /// The state that is shown, with what the team thinks in it.
     fn news(&mut self) -> Result<News<S>, StageError> {
         if !self.is_over {
@@ -254,7 +280,8 @@ impl<'a, S: Show> Player<'a, S> {
         let events = S::events(&self.facts, self.at, self.before.as_ref(), &self.now);
         let dead = (0..agents).filter(|agent| !self.stage.lives(*agent)).collect();
         let (state, thoughts) = (self.now.state.clone(), (!self.is_over).then_some(thoughts));
-        let state = Decided { state, thoughts, chosen, dead };
+        let absent = self.absent(agents);
+        let state = Decided { state, thoughts, chosen, dead, absent };
         Ok(News { at: self.at, step: None, state, events, result: None })
     }
 }

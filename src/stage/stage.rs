@@ -21,7 +21,7 @@ use crate::mind::{Allocators, Decisions, Note, NotingPolicy, Remembered};
 
 /// How long a world waits for an agent that does not answer: only the order of events counts here.
 const PATIENCE_NS: u64 = 1_000_000;
-/// A seat that leaves so many ticks unanswered is vacant, as for worlds that are processes.
+/// An agent for which nobody acts in so many ticks is absent, as for worlds that are processes.
 const ABSENT_AFTER: u32 = 3;
 
 /// What became of a step.
@@ -89,6 +89,20 @@ impl<'a, W: World> Stage<'a, W> {
         world: W,
         seed: u64,
     ) -> Result<Self, StageError> {
+        Self::without(0, memory, cast, world, seed)
+    }
+
+    /// The same with agents that are absent until they are [revived](Self::revive): bit a for agent a.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn without(
+        absent: u64,
+        memory: &'a mut Memory,
+        cast: &Cast,
+        world: W,
+        seed: u64,
+    ) -> Result<Self, StageError> {
         let Memory { agents: team, allocator: allocating, frames, format, clock, entry } = memory;
         let clock: &'a StageClock = clock;
         let format = *format;
@@ -123,7 +137,10 @@ impl<'a, W: World> Stage<'a, W> {
             format,
             clock,
             messages: Direct::new(frames, clock),
-            world_role: Box::new(WorldRole::new(world_options(cast, format, assigns))),
+            world_role: Box::new(WorldRole::new(WorldOptions {
+                absent,
+                ..world_options(cast, format, assigns)
+            })),
             world_cursor: DirectCursor::default(),
             allocator_role: Box::new(AllocatorRole::new(allocator)),
             allocator_cursor: DirectCursor::default(),
@@ -140,7 +157,7 @@ impl<'a, W: World> Stage<'a, W> {
                 .allocator_role
                 .join(&mut stage.messages.allocator(&mut stage.allocator_cursor))?;
         }
-        for agent in 0..agents {
+        for agent in (0..agents).filter(|agent| absent >> agent & 1 == 0) {
             stage.revive(agent)?;
             // There is room for a few statuses at a time.
             stage.poll_world(&mut Watch::default())?;
@@ -224,6 +241,11 @@ impl<'a, W: World> Stage<'a, W> {
     /// Whether a process acts for an agent.
     pub fn lives(&self, agent: usize) -> bool {
         self.runners.get(agent).is_some_and(Option::is_some)
+    }
+
+    /// Whether an agent is left out of allocations, since nobody has acted for it for some ticks.
+    pub fn is_absent(&self, agent: usize) -> bool {
+        self.world_role.absent() >> agent & 1 == 1
     }
 
     /// Has somebody else allocate from the next decision on: 0 what was learned, 1 and up the environment's rules.
@@ -362,6 +384,7 @@ fn world_options(cast: &Cast, format: FrameFormat, assigns: bool) -> WorldOption
         period_ns: 0,
         patience_ns: PATIENCE_NS,
         absent_after: ABSENT_AFTER,
+        absent: 0,
         decision_interval: cast.decision_interval,
         safe_action: cast.safe_action,
         episodes: None,

@@ -1,6 +1,6 @@
 //! `sortie eval` and `sortie bench`: what scripts read from them.
 
-use crate::support::{assert_fails, json, output};
+use crate::support::{BUNDLE, assert_fails, json, output};
 
 #[test]
 fn failed_episodes_have_a_cause_each_and_a_planner_says_what_it_is() {
@@ -26,4 +26,17 @@ fn a_python_without_torch_is_named() {
         let output = output(&["bench", "train", "--preset", preset, "--python", "no-such-python"]);
         assert_fails(&output, 69, &["no-such-python", "torch"]);
     }
+}
+
+#[test]
+fn what_lost_agents_worked_on_is_never_left_to_them() {
+    let found = json(&["bench", "losses", BUNDLE, "--lose=0,4", "--episodes=4", "--json"]);
+    let handed_over = &found["handed_over"];
+    assert!(handed_over["at_work"].as_u64() > Some(4), "{found}");
+    assert_eq!([&handed_over["to_the_lost"], &handed_over["ticks_until_absent"]], [0, 4]);
+    let [whole, without] =
+        ["whole", "absent_from_the_start"].map(|when| found[when]["solved"].as_u64());
+    assert!(whole > without, "{found}");
+    let refused = output(&["bench", "losses", BUNDLE, "--team=2", "--lose=2", "--episodes=1"]);
+    assert_fails(&refused, 2, &["agent 2 is not of a team of 2"]);
 }

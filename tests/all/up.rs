@@ -265,14 +265,38 @@ fn a_doctor_names_what_is_missing() {
     resume(stopped);
     kill(runner);
     up.await_line(&["the runner of agent 1 was killed by signal 9"]);
+    wait_until("agent 1 is absent", || {
+        let told = json(&["control", "info", "--domain", &domain.id, "--json"]);
+        told["processes"][0]["absent"] == serde_json::json!([1])
+    });
     let examined = output(&["doctor", "--domain", &domain.id]);
     let told = String::from_utf8_lossy(&examined.stdout).into_owned();
     assert!(told.contains("nobody acts for agents 1\n"), "{told}");
+    assert!(told.contains("absent agents        1, since tick "), "{told}");
     assert!(told.contains("one leads, none stands by"), "{told}");
     assert!(told.contains("supervisor ") && told.contains(", version 0."), "{told}");
     assert_fails(&examined, 1, &["problem"]);
     assert_eq!(up.end(), Some(130));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn a_team_plays_without_an_agent_and_its_report_names_it() {
+    let domain = TestDomain::new("absent");
+    let play = |verb: &[&str]| {
+        let more = ["--domain", &domain.id, "--episodes=2", "--rate=0", "--json", "--absent=4"];
+        json(&[verb, &more].concat())
+    };
+    for verb in [&["up", BUNDLE][..], &["run", BUNDLE], &["run", BUNDLE, "--in-process"]] {
+        let report = play(verb);
+        let absent = serde_json::json!([{ "agent": 4, "episode": 1, "step": 0 }]);
+        assert_eq!(report["absent"], absent, "{verb:?}");
+        assert_eq!(report["episodes"], 2, "{verb:?}");
+        assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+    }
+    let refused = |more: &[&str]| output(&[&["up", BUNDLE, "--episodes=1"][..], more].concat());
+    assert_fails(&refused(&["--absent=5"]), 2, &["no agent 5", "5 from 0 on"]);
+    assert_eq!(refused(&["--absent=4", "--fill"]).status.code(), Some(2));
 }
 
 #[test]

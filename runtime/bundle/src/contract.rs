@@ -7,8 +7,9 @@ use sortie_core::identity::fnv1a;
 use sortie_core::limits;
 use sortie_core::options::{Affordance, Milestone, OptionRules, PictureShape, Shown};
 
-/// The wire format's version.
-pub const WIRE_ABI: u16 = 1;
+/// Version of what policies are shown and answer. The messages that carry both have a number of their own,
+/// [`sortie_core::wire::ABI`].
+pub const CONTRACT_ABI: u16 = 1;
 
 /// The contract, version 1; its hash is what processes compare.
 ///
@@ -16,7 +17,7 @@ pub const WIRE_ABI: u16 = 1;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContractV1 {
-    /// Version of the wire format, [`WIRE_ABI`].
+    /// [`CONTRACT_ABI`].
     pub abi: u16,
     /// Number of actions U.
     pub actions: u16,
@@ -107,8 +108,8 @@ impl ContractV1 {
                 (unique.len() != names.len()).then(|| format!("the same {what} name stands twice"))
             }
         };
-        if self.abi != WIRE_ABI {
-            return Some(format!("wire format {} where {WIRE_ABI} is spoken", self.abi));
+        if self.abi != CONTRACT_ABI {
+            return Some(format!("a contract of ABI {} where {CONTRACT_ABI} is known", self.abi));
         }
         if self.actions == 0 || self.features == 0 || self.decision_interval == 0 {
             return Some("actions, features and decision_interval must not be 0".to_owned());
@@ -137,7 +138,7 @@ pub(crate) mod tests {
     pub(crate) fn contract() -> ContractV1 {
         let names = |list: &[&str]| list.iter().map(|name| (*name).to_owned()).collect();
         ContractV1 {
-            abi: WIRE_ABI,
+            abi: CONTRACT_ABI,
             actions: 2,
             features: 3,
             feature_names: names(&["x", "y", "health"]),

@@ -24,8 +24,8 @@ pub use bundle::{
     POLICY_ROLES, PROPOSAL_PARTS, TRAINING,
 };
 pub use contract::{
-    Affords, ContractV1, FallbackAllocation, MilestoneSign, OptionsContract, PictureContract,
-    SubtaskConditioning, WIRE_ABI,
+    Affords, CONTRACT_ABI, ContractV1, FallbackAllocation, MilestoneSign, OptionsContract,
+    PictureContract, SubtaskConditioning,
 };
 pub use error::BundleError;
 pub use files::{hex, sha256};

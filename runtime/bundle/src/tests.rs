@@ -8,15 +8,15 @@ use sortie_core::{EntityMask, limits};
 
 use crate::files::MOST_BYTES;
 use crate::{
-    AGENT, ALLOCATOR, AgentGraph, Bundle, BundleError, CARD, ContractV1, Draft, Environment,
-    FallbackAllocation, GOLDEN, Golden, GoldenAllocation, GoldenCase, GoldenValue, Limits,
-    MANIFEST, MIN_ALLOCATIONS, MIN_CASES, Network, OwnedAllocationState, OwnedObservation, POLICY,
-    PROPOSAL_PARTS, PROPOSALS, SubtaskConditioning, TEAM_VALUE, WIRE_ABI, hex, sha256,
+    AGENT, ALLOCATOR, AgentGraph, Bundle, BundleError, CARD, CONTRACT_ABI, ContractV1, Draft,
+    Environment, FallbackAllocation, GOLDEN, Golden, GoldenAllocation, GoldenCase, GoldenValue,
+    Limits, MANIFEST, MIN_ALLOCATIONS, MIN_CASES, Network, OwnedAllocationState, OwnedObservation,
+    POLICY, PROPOSAL_PARTS, PROPOSALS, SubtaskConditioning, TEAM_VALUE, hex, sha256,
 };
 
 fn draft() -> Draft {
     let contract = ContractV1 {
-        abi: WIRE_ABI,
+        abi: CONTRACT_ABI,
         actions: 2,
         features: 1,
         feature_names: vec!["distance".into()],

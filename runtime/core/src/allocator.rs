@@ -17,7 +17,7 @@ pub struct AllocationState<'a> {
     pub rows: &'a [f32],
     /// Columns of a row, d or more.
     pub stride: usize,
-    /// The entities that exist.
+    /// The entities that exist, but for agents for which nobody acts: those are not to be counted on.
     pub present: EntityMask,
     /// `[N]`: bit t set where the entity belongs to subtask t; agents: their last allocation.
     pub entity_task: &'a [u32],
@@ -73,7 +73,7 @@ impl core::error::Error for AllocateError {}
 
 /// Assigns agents to subtasks. Total: any state gives a feasible allocation or a refusal.
 pub trait Allocator {
-    /// Writes for every agent `[A]` an open subtask, or [`UNASSIGNED`]. What absent agents get does not count.
+    /// Writes for every agent `[A]` an open subtask, or [`UNASSIGNED`]. What agents get that are not present does not count.
     fn allocate(
         &mut self,
         state: &AllocationState<'_>,

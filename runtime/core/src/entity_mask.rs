@@ -66,6 +66,15 @@ impl EntityMask {
         mask
     }
 
+    /// The entities of this set that are not in the other.
+    pub fn without(&self, other: &Self) -> Self {
+        let mut mask = *self;
+        for (word, with) in mask.words.iter_mut().zip(other.words) {
+            *word &= !with;
+        }
+        mask
+    }
+
     /// The entities in either set.
     pub fn or(&self, other: &Self) -> Self {
         let mut mask = *self;

@@ -79,6 +79,14 @@ pub fn control(domain: &Domain, order: &Order) -> Result<Vec<Answer>, Error> {
     Ok(answers)
 }
 
+/// What the processes of a domain's team say of themselves.
+pub(crate) fn team_info(
+    membership: &Membership,
+    facts: &DomainFacts,
+) -> Result<Vec<Answer>, Error> {
+    tell_team(membership, facts, &Order::new(Command::Info))
+}
+
 fn tell_team(
     membership: &Membership,
     facts: &DomainFacts,

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use sortie_core::link::StatRx;
 use sortie_core::wire::{Role, StatMsg};
 
+use crate::control::{Answer, team_info};
 use crate::domain::{Domain, DomainFacts, Membership, SHARED_MEMORY, preflight};
 use crate::error::Error;
 use crate::iox::{
@@ -186,6 +187,7 @@ fn examine_team(
     });
     findings.extend(statuses.values().map(examine_process));
     findings.push(examine_seats(membership, &statuses, format.layout.every_agent())?);
+    findings.extend(examine_absent(membership, facts)?);
     findings.push(examine_allocators(&statuses, facts.has_allocation()));
     drop(watcher);
     findings.push(match dead_nodes(domain)? {
@@ -349,6 +351,36 @@ fn examine_seats(
         )
     };
     Ok(Finding::new(Severity::Problem, "seats", found, advice))
+}
+
+/// Whom the world takes for absent; nothing where no world answers.
+fn examine_absent(membership: &Membership, facts: &DomainFacts) -> Result<Option<Finding>, Error> {
+    let answers = team_info(membership, facts)?;
+    let world = answers.iter().find(|answer| answer.process.role == Role::World);
+    Ok(world.map(|Answer { process, tick, .. }| {
+        if process.absent == 0 {
+            return Finding::fine("absent agents", "none");
+        }
+        let agents = (0..u64::BITS).filter(|agent| process.absent >> agent & 1 == 1);
+        let agents = agents.map(|agent| agent.to_string()).collect::<Vec<_>>();
+        let first = if agents.len() > 1 { "the first " } else { "" };
+        let since = match process.absent_since {
+            0 => "from the beginning".to_string(),
+            since => {
+                let (since, ago) = (since as u32, tick.saturating_sub(since));
+                format!("since tick {since}, {ago} ticks ago")
+            }
+        };
+        let agents = agents.join(", ");
+        Finding::new(
+            Severity::Warning,
+            "absent agents",
+            format!(
+                "{agents}, {first}{since}: left out of allocations, since nobody acts for them"
+            ),
+            "start a runner: they are counted on again as soon as it acts",
+        )
+    }))
 }
 
 fn examine_allocators(statuses: &BTreeMap<u32, StatMsg>, has_allocation: bool) -> Finding {

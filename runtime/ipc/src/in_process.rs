@@ -53,7 +53,7 @@ pub fn run_in_process(
     let mut runner_role = RunnerRole::new(RunnerOptions {
         format,
         identity: Identity::new(pid, "runner/0"),
-        agents: format.layout.every_agent(),
+        agents: format.layout.every_agent() & !settings.absent,
         subtasks: contract.subtasks,
         decision_interval: contract.decision_interval,
         period_ns: 0,

@@ -16,6 +16,10 @@ pub struct ProcessInfo {
     pub pid: u32,
     /// Bit a: it acts for agent a. Of a world: a process does.
     pub agents: u64,
+    /// Bit a: of a world: nobody acts for agent a, who is left out of allocations.
+    pub absent: u64,
+    /// The tick of the world after which the first of these became so; 0 where it was so from the beginning.
+    pub absent_since: u64,
     /// First 16 bytes of its model's id; zeros where it has none.
     pub model: [u8; 16],
     /// The term that it leads its role in, if it leads.
@@ -38,6 +42,8 @@ impl ProcessInfo {
             role,
             pid,
             agents: 0,
+            absent: 0,
+            absent_since: 0,
             model,
             term: None,
             is_paused: false,
@@ -58,6 +64,9 @@ impl fmt::Display for ProcessInfo {
         write!(f, "role={} pid={pid} agents={agents:x} model={model:032x}", role.name())?;
         if let Some(term) = self.term {
             write!(f, " term={term}")?;
+        }
+        if self.absent != 0 {
+            write!(f, " absent={:x} absent_since={:x}", self.absent, self.absent_since)?;
         }
         let Self { is_paused, is_degraded, serves, is_graph, .. } = *self;
         let flags = [is_paused, is_degraded, serves, is_graph];
@@ -85,10 +94,13 @@ impl FromStr for ProcessInfo {
         let [is_paused, is_degraded, serves, is_graph] =
             FLAGS.map(|flag| words().any(|word| word == flag));
         let hex = |key| value(key).and_then(|value| u128::from_str_radix(value, 16).ok());
+        let hex64 = |key| hex(key).and_then(|number| number.try_into().ok()).unwrap_or(0);
         Ok(Self {
             role: roles.find(|known| known.name() == role).ok_or(NotAProcess)?,
             pid: value("pid").and_then(|pid| pid.parse().ok()).ok_or(NotAProcess)?,
-            agents: hex("agents").and_then(|agents| agents.try_into().ok()).unwrap_or(0),
+            agents: hex64("agents"),
+            absent: hex64("absent"),
+            absent_since: hex64("absent_since"),
             model: hex("model").unwrap_or(0).to_be_bytes(),
             term: value("term").and_then(|term| term.parse().ok()),
             is_paused,
@@ -193,6 +205,8 @@ mod tests {
             role: Role::Supervisor,
             pid: u32::MAX,
             agents: u64::MAX,
+            absent: u64::MAX,
+            absent_since: u64::MAX,
             model: [0xAB; 16],
             term: Some(u32::MAX),
             is_paused: true,

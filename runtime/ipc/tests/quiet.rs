@@ -204,6 +204,7 @@ impl Team {
             period_ns: 0,
             patience_ns: 0,
             absent_after: 3,
+            absent: 0,
             decision_interval: 4,
             safe_action: Some(0),
             episodes: None,

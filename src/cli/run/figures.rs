@@ -1,9 +1,9 @@
 //! What a run measures.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
-use sortie_core::NO_ACTION;
 use sortie_core::roles::TickReport;
+use sortie_core::{NO_ACTION, limits};
 
 use crate::latency::{Latency, Spread};
 
@@ -29,6 +29,8 @@ pub(super) struct Figures {
     pub(super) overran: u64,
     /// Fallback actions that were played for agents without an answer in time.
     pub(super) fallbacks: u64,
+    /// Agents for which nobody acts, and since when.
+    pub(super) absent: BTreeMap<usize, Since>,
     /// Ids of the processes heard of, the world's included.
     pub(super) processes: BTreeSet<u32>,
     /// When the first frame was published, the newest one, and when its step was over.
@@ -37,6 +39,15 @@ pub(super) struct Figures {
     ended_ns: u64,
     /// A person has let the world stand still since the newest frame.
     stood_still: bool,
+}
+
+/// A moment of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Since {
+    /// Episode of this world, from 0.
+    pub(super) episode: u32,
+    /// Step in the episode, from 0.
+    pub(super) step: u32,
 }
 
 impl Figures {
@@ -48,8 +59,20 @@ impl Figures {
             self.act.record_ns(answer.t_ns.saturating_sub(report.published_ns));
         }
         self.fallbacks += unanswered(report);
+        self.record_absent(report);
         self.tick.record_ns(report.tick_ns);
         self.record_times(report);
+    }
+
+    fn record_absent(&mut self, report: &TickReport<'_>) {
+        let is_absent = |agent: usize| report.absent >> agent & 1 == 1;
+        self.absent.retain(|agent, _| is_absent(*agent));
+        if self.absent.len() < report.absent.count_ones() as usize {
+            let now = Since { episode: report.episode, step: report.step };
+            for agent in (0..limits::AGENTS).filter(|agent| is_absent(*agent)) {
+                self.absent.entry(agent).or_insert(now);
+            }
+        }
     }
 
     fn record_times(&mut self, report: &TickReport<'_>) {
@@ -109,8 +132,26 @@ mod tests {
             tick_ns: 1_000_000,
             timing,
             allocations_missed: 0,
+            absent: 0,
             degraded: false,
             outcome: StepOutcome { episode_ended: false, tasks_changed: false },
+        }
+    }
+
+    #[test]
+    fn absent_agents_are_named_with_the_moment_since_when() {
+        let mut figures = Figures::default();
+        let since = |episode, step| Since { episode, step };
+        for (at, absent, want) in [
+            (since(0, 3), 0, vec![]),
+            (since(0, 4), 0b1_0000, vec![(4, since(0, 4))]),
+            (since(1, 0), 0b1_0001, vec![(0, since(1, 0)), (4, since(0, 4))]),
+            (since(1, 1), 0b0_0010, vec![(1, since(1, 1))]),
+            (since(1, 2), 0b1_0010, vec![(1, since(1, 1)), (4, since(1, 2))]),
+        ] {
+            let Since { episode, step } = at;
+            figures.record(&TickReport { episode, step, absent, ..tick(0, Timing::default()) });
+            assert_eq!(figures.absent.clone().into_iter().collect::<Vec<_>>(), want);
         }
     }
 

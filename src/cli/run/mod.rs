@@ -22,7 +22,7 @@ use sortie_ipc::{
 
 use self::onlooker::{Display, Onlooker};
 use self::report::{Manner, Setup, report};
-use self::team::Team;
+use self::team::{Absentees, Team};
 use self::world::open_world;
 use crate::allocation::{AllocatorChoice, name_of};
 use crate::allocator::{DeployedAllocator, ProposalArguments};
@@ -71,6 +71,8 @@ pub struct RunArguments {
     /// One process per agent
     #[arg(long)]
     isolate: bool,
+    #[command(flatten)]
+    absentees: Absentees,
     /// Ticks a second, 0 for as fast as the team acts; default: 10 on a terminal, else 0
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
@@ -101,6 +103,7 @@ pub(crate) fn run(arguments: &RunArguments) -> Outcome {
     let bundle = open_bundle(&arguments.bundle)?;
     let seed = arguments.common.seed;
     let mut world = open_world(&bundle, arguments.env.as_deref(), seed)?;
+    arguments.absentees.check(sortie_core::World::shape(&world).agents)?;
     let allocation = AllocatorChoice::of_bundle(&bundle, arguments.allocation)?;
     // Opened here even where another process allocates: errors show at once, and plans are compiled.
     let draws = (seed, arguments.proposals);
@@ -151,6 +154,7 @@ fn pace(arguments: &RunArguments) -> Option<f64> {
 fn settings(arguments: &RunArguments, allocation: Option<AllocatorChoice>) -> WorldSettings {
     WorldSettings {
         allocator: allocation.is_some(),
+        absent: arguments.absentees.seats(),
         patience: Duration::from_secs_f64(arguments.patience),
         episodes: Some(arguments.episodes),
         tick_interval: pace(arguments)
@@ -191,6 +195,7 @@ fn play_as_processes(
     let agents = sortie_core::World::shape(world).agents;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let groups = group_agents(agents, cores, arguments.isolate);
+    let groups = arguments.absentees.leave_out(groups);
     let team = Team {
         bundle: &arguments.bundle,
         domain: &arguments.domain,

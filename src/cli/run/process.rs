@@ -47,7 +47,7 @@ pub(crate) struct ProcessArguments {
     #[arg(long)]
     private: bool,
     /// World: it acts for agents without a runner
-    #[arg(long)]
+    #[arg(long, conflicts_with = "absent")]
     fill: bool,
     /// Join a team of another bundle or allocation rule
     #[arg(long)]

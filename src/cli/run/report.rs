@@ -7,7 +7,7 @@ use serde_json::Value;
 use sortie_envs::Spec;
 use sortie_learn::evaluate::wilson_interval;
 
-use super::figures::Figures;
+use super::figures::{Figures, Since};
 use super::onlooker::Onlooker;
 use crate::latency::{Latency, Percentiles};
 use crate::output::{Table, plural, print_json, say};
@@ -34,6 +34,8 @@ pub(super) struct Report {
     decisions: u64,
     /// Actions of agents for which nobody answered in time.
     fallbacks: u64,
+    /// Agents for which nobody acts at the end: left out of allocations.
+    absent: Vec<Absent>,
     decide_us: Percentiles,
     act_us: Percentiles,
     tick_us: Percentiles,
@@ -110,6 +112,7 @@ impl Report {
             by_team: tally.by_team.clone(),
             decisions: figures.decisions,
             fallbacks: figures.fallbacks,
+            absent: figures.absent.iter().map(|one| Absent::new(one, earlier)).collect(),
             decide_us: figures.decide.percentiles(),
             act_us: figures.act.percentiles(),
             tick_us: figures.tick.percentiles(),
@@ -149,6 +152,10 @@ impl Report {
             plural(self.fallbacks as usize, "fallback action"),
         );
         say!("{:.2} s, pace {}\n", self.wall_s, self.pace());
+        if !self.absent.is_empty() {
+            self.absent.iter().for_each(|absent| say!("{absent}"));
+            say!();
+        }
         if self.episodes_of_dead_worlds > 0 {
             say!(
                 "a world died: of the first {} figures below know nothing\n",
@@ -192,6 +199,31 @@ impl Report {
             ),
             None => "as fast as the team acts".to_string(),
         }
+    }
+}
+
+/// An agent for which nobody acts.
+#[derive(Debug, Serialize)]
+struct Absent {
+    agent: usize,
+    /// Since when: the episode, from 1, and its step, from 0.
+    episode: usize,
+    step: u32,
+}
+
+impl Absent {
+    fn new((agent, since): (&usize, &Since), earlier: usize) -> Self {
+        Self { agent: *agent, episode: earlier + since.episode as usize + 1, step: since.step }
+    }
+}
+
+impl std::fmt::Display for Absent {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { agent, episode, step } = self;
+        write!(
+            f,
+            "agent {agent} is absent since step {step} of episode {episode}: nobody acts for it"
+        )
     }
 }
 

@@ -10,7 +10,7 @@ use sortie_ipc::{Charge, RealTime};
 
 use crate::allocation::AllocatorChoice;
 use crate::allocator::ProposalArguments;
-use crate::failure::{Exit, Failure};
+use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::Backend;
 
 /// What all processes of a team are started with.
@@ -33,16 +33,18 @@ pub(super) struct Team<'a> {
 
 /// `agent 0`, `agents 1, 2`.
 fn named_agents(agents: &[u16]) -> String {
-    let list = agents.iter().map(u16::to_string).collect::<Vec<_>>().join(", ");
-    format!("agent{} {list}", if agents.len() == 1 { "" } else { "s" })
+    format!("agent{} {}", if agents.len() == 1 { "" } else { "s" }, listed(agents, ", "))
+}
+
+fn listed(agents: &[u16], between: &str) -> String {
+    agents.iter().map(u16::to_string).collect::<Vec<_>>().join(between)
 }
 
 impl Team<'_> {
     /// The runner of these agents.
     pub(super) fn runner(&self, agents: &[u16]) -> Charge {
-        let list = agents.iter().map(u16::to_string).collect::<Vec<_>>().join(",");
         let mut command = self.command("runner");
-        command.arg("--agents").arg(&list);
+        command.arg("--agents").arg(listed(agents, ","));
         Charge {
             name: format!("the runner of {}", named_agents(agents)),
             role: Role::Runner,
@@ -80,6 +82,48 @@ impl Team<'_> {
         }
         command.stdin(Stdio::null()).stdout(Stdio::null());
         command
+    }
+}
+
+/// Agents that are left out.
+#[derive(Clone, Debug, Default, Args)]
+pub(super) struct Absentees {
+    /// Agents for which nobody acts: bodies that stand there, left out of allocations
+    #[arg(long, value_delimiter = ',', value_name = "AGENTS")]
+    absent: Vec<u16>,
+}
+
+impl Absentees {
+    /// Bit a for agent a.
+    pub(super) fn seats(&self) -> u64 {
+        self.absent
+            .iter()
+            .fold(0, |seats, agent| seats | 1_u64.checked_shl((*agent).into()).unwrap_or(0))
+    }
+
+    /// Refuses agents that do not exist.
+    pub(super) fn check(&self, agents: usize) -> Outcome {
+        match self.absent.iter().find(|agent| usize::from(**agent) >= agents) {
+            None => Ok(()),
+            Some(agent) => {
+                let message =
+                    format!("there is no agent {agent} to be absent, but {agents} from 0 on");
+                Err(Failure::new(Exit::Usage, message))
+            }
+        }
+    }
+
+    /// The groups of agents that processes act for, without these.
+    pub(super) fn leave_out(&self, groups: Vec<Vec<u16>>) -> Vec<Vec<u16>> {
+        let mut left = groups;
+        left.iter_mut().for_each(|group| group.retain(|agent| !self.absent.contains(agent)));
+        left.retain(|group| !group.is_empty());
+        left
+    }
+
+    /// As a flag for a world.
+    pub(super) fn flag(&self) -> Option<String> {
+        (!self.absent.is_empty()).then(|| format!("--absent={}", listed(&self.absent, ",")))
     }
 }
 
@@ -132,6 +176,21 @@ pub(super) fn check_cores(processes: usize, cores: usize) -> Result<(), Failure>
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn absent_agents_have_no_runner_and_the_world_is_told() {
+        let absentees = Absentees { absent: vec![4, 0] };
+        let groups = vec![vec![0, 2, 4], vec![1, 3], vec![0]];
+        assert_eq!(absentees.leave_out(groups), [vec![2], vec![1, 3]]);
+        assert_eq!(
+            (absentees.seats(), absentees.flag().as_deref()),
+            (0b1_0001, Some("--absent=4,0"))
+        );
+        assert!(absentees.check(5).is_ok());
+        let refused = absentees.check(4).map_err(|failure| failure.message);
+        assert_eq!(refused, Err("there is no agent 4 to be absent, but 4 from 0 on".to_string()));
+        assert_eq!(Absentees::default().flag(), None);
+    }
 
     #[test]
     fn processes_are_told_what_differs_from_the_default() {

@@ -52,7 +52,7 @@ pub(crate) struct UpArguments {
     #[arg(long)]
     private: bool,
     /// The world acts, by the bundle's policy, for agents whose process is missing
-    #[arg(long)]
+    #[arg(long, conflicts_with = "absent")]
     fill: bool,
     #[command(flatten)]
     scheduling: Scheduling,
@@ -90,6 +90,7 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
     let seed = arguments.common.seed;
     // Opened here although others will: errors show once, and plans are compiled.
     let world = open_world(&bundle, arguments.playing.env.as_deref(), seed)?;
+    arguments.playing.absentees.check(world.shape().agents)?;
     let allocation = AllocatorChoice::of_bundle(&bundle, arguments.allocation)?;
     DeployedPolicy::open(&bundle, arguments.backend)?;
     let draws = (seed, arguments.proposals);
@@ -147,6 +148,7 @@ fn charges(
 ) -> Result<Vec<Charge>, Failure> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let groups = group_agents(agents, cores, arguments.isolate || arguments.private);
+    let groups = arguments.playing.absentees.leave_out(groups);
     if arguments.pin {
         check_cores(1 + groups.len(), cores)?;
     }
@@ -169,7 +171,7 @@ fn charges(
 /// The world, which prints the report.
 fn world(arguments: &UpArguments, team: &Team<'_>) -> Charge {
     let mut command = team.command("world");
-    let Playing { env, episodes, rate, patience } = &arguments.playing;
+    let Playing { env, episodes, rate, patience, absentees } = &arguments.playing;
     if let Some(env) = env {
         command.arg("--env").arg(env);
     }
@@ -178,6 +180,7 @@ fn world(arguments: &UpArguments, team: &Team<'_>) -> Charge {
     }
     command.arg("--rate").arg(rate.to_string());
     command.arg("--patience").arg(patience.to_string());
+    command.args(absentees.flag());
     for (flag, is_set) in [("--json", arguments.common.json), ("--quiet", arguments.common.quiet)] {
         if is_set {
             command.arg(flag);

@@ -14,6 +14,7 @@ use sortie_ipc::{
 
 use super::onlooker::{Display, Ledger, Onlooker};
 use super::report::{Manner, Setup, report};
+use super::team::Absentees;
 use super::{positive_seconds, rate};
 use crate::allocation::{AllocatorChoice, name_of};
 use crate::deployment::model_id;
@@ -34,6 +35,8 @@ pub struct Playing {
     /// Ticks a second; agents have 80 % of a tick to act. 0 for as fast as the team acts
     #[arg(long, default_value_t = 100.0, value_name = "HZ", value_parser = rate)]
     pub(super) rate: f64,
+    #[command(flatten)]
+    pub(super) absentees: Absentees,
     /// With --rate 0, seconds to wait for an action before the fallback is played
     #[arg(long, default_value_t = 2.0, value_name = "S", value_parser = positive_seconds)]
     pub(super) patience: f64,
@@ -51,8 +54,9 @@ impl Playing {
 
     /// Names what is played; the same for a world and the one that takes its place.
     fn key(&self, seed: u64) -> String {
-        let Self { env, episodes, .. } = self;
-        format!("{env:?}, {episodes:?} episodes, seed {seed}")
+        let Self { env, episodes, absentees, .. } = self;
+        let absent = absentees.flag().unwrap_or_default();
+        format!("{env:?}, {episodes:?} episodes, seed {seed}{absent}")
     }
 }
 
@@ -94,6 +98,7 @@ pub(super) fn play(
     let earlier = ledger.read(domain)?;
     let (set, seed) = (playing.env.as_deref(), next_seed(team.seed, earlier.episodes));
     let mut world = open_world(team.bundle, set, seed)?;
+    playing.absentees.check(world.shape().agents)?;
     *world.tally.borrow_mut() = earlier;
     let display = if team.json || team.quiet { Display::Silent } else { Display::Lines };
     let episodes = playing.episodes.map(|episodes| episodes as usize);
@@ -136,6 +141,7 @@ fn play_on(
 ) -> Outcome {
     let settings = WorldSettings {
         allocator: team.allocation.is_some(),
+        absent: playing.absentees.seats(),
         strict: false,
         period: playing.period(),
         patience: Duration::from_secs_f64(playing.patience),

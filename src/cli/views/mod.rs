@@ -15,6 +15,7 @@ mod treasure_rooms;
 
 use std::path::Path;
 
+pub use live::cast;
 use serde::Serialize;
 use serde_json::{Map, Value};
 use sortie_bundle::Bundle;

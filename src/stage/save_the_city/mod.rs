@@ -125,7 +125,10 @@ fn values_at<W: World>(
     let here = allocation.iter().enumerate();
     let here = here.filter(|(_, own)| own.is_some_and(|own| usize::from(own) == building));
     let chosen = here.fold(0, |team, (agent, _)| team | 1_u64 << agent);
-    let teams = candidates(allocation.len(), stage.team_max(), chosen);
+    let absent = (0..allocation.len()).filter(|agent| stage.is_absent(*agent));
+    let absent = absent.fold(0, |set, agent| set | 1_u64 << agent);
+    let mut teams = candidates(allocation.len(), stage.team_max(), chosen);
+    teams.retain(|team| team & absent == 0);
     let known = stage.team_values(building, &teams)?;
     Ok(known.map(|known| TeamValues::of(&teams, &known, chosen)))
 }

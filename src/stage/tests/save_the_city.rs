@@ -89,9 +89,14 @@ fn the_world_goes_on_without_the_dead_and_with_whoever_comes_back() {
         assert!(dead["state"]["chosen"][0].is_u64());
         assert_eq!(player.repeat_decision(1), Ok(false));
         assert_eq!(player.repeat_decision(0), Ok(true));
-        // It repeats its last action while that is available, else it stays.
-        for _ in 0..8 {
+        // It repeats its last action while that is available, else it stays; after three steps it is absent.
+        let at = before["at"].as_u64().expect("a number");
+        for steps in 1..=8 {
             let news = stepped(player);
+            let state = &news["state"];
+            let absent = if steps < 3 { vec![] } else { vec![(1, at + 3)] };
+            assert_eq!(state["absent"], to_value(absent).unwrap(), "after {steps} steps");
+            assert!(steps < 3 || state["allocation"][1].is_null(), "others are given its work");
             let action = news["step"]["actions"][1].as_u64().expect("an action");
             assert!(
                 action == 0 || action == before["step"]["actions"][1].as_u64().unwrap(),
@@ -100,6 +105,7 @@ fn the_world_goes_on_without_the_dead_and_with_whoever_comes_back() {
         }
         let back = told(player.kill_or_revive(1));
         assert_eq!(back["state"]["dead"], to_value([0; 0]).unwrap());
+        assert_eq!(back["state"]["absent"], back["state"]["dead"]);
         assert!(back["state"]["chosen"][1].is_u64(), "it decides at once");
         let chosen = &back["state"]["chosen"];
         assert_eq!(stepped(player)["step"]["actions"], *chosen);

@@ -4,6 +4,7 @@ mod allocation;
 mod contestants;
 mod decision;
 pub(crate) mod faults;
+mod losses;
 mod policies;
 mod proposals;
 mod rounds;
@@ -42,6 +43,7 @@ const FLOOR: &str = "floor";
   sortie bench proposals --python venv/bin/python3
   sortie bench env --seconds 10
   sortie bench faults --runner-kills 1000 --allocator-kills 200
+  sortie bench losses models/save-the-city --lose 4 --at 10
   sortie bench train --python venv/bin/python3 --seconds 30")]
 pub(crate) struct BenchArguments {
     #[command(subcommand)]
@@ -57,6 +59,7 @@ enum What {
     Env(EnvironmentArguments),
     Train(train::TrainArguments),
     Faults(faults::FaultsArguments),
+    Losses(losses::LossesArguments),
 }
 
 /// What every measurement takes.
@@ -125,6 +128,7 @@ pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
         What::Proposals(arguments) => (proposals::measure(arguments)?, arguments.measuring.common),
         What::Env(arguments) => (measure_environment(arguments)?, arguments.measuring.common),
         What::Faults(arguments) => return faults::run(arguments),
+        What::Losses(arguments) => return losses::run(arguments),
         What::Train(arguments) => (train::measure(arguments)?, arguments.measuring.common),
     };
     if common.json {

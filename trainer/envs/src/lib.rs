@@ -32,6 +32,7 @@ pub mod crafting;
 mod decisions;
 mod entry;
 pub mod environment;
+mod failures;
 pub mod frame;
 #[cfg(feature = "std")]
 pub mod golden;
@@ -52,6 +53,7 @@ pub mod treasure_rooms;
 
 pub use decisions::{DecisionPoints, UNASSIGNED};
 pub use environment::{Environment, Episode, Split, StateError, Step, StepError};
+pub use failures::Failing;
 pub use frame::{Frame, FrameError, FrameReader};
 pub use observation::{ActionSet, AgentSet, EntitySet, Observation, members};
 pub use random::Random;

@@ -46,7 +46,10 @@ pub struct Observation {
     pub rows: SparseRows,
     /// The entities that exist. Agents are the first of all entities, and those that exist the first of them.
     pub present: EntitySet,
-    /// `[A]`: the entities that each agent can observe; empty for absent agents.
+    /// Agents that exist and for which nobody acts any more, so that nobody counts on them; see
+    /// [`Failing`](crate::Failing).
+    pub absent: AgentSet,
+    /// `[A]`: the entities that each agent can observe; empty for those that do not exist.
     pub observable: Vec<EntitySet>,
     /// `[N]`: the subtasks, as bits, that each entity belongs to by itself; none for agents and absent entities.
     pub entity_task: Vec<u32>,
@@ -91,6 +94,12 @@ impl Observation {
     pub fn agents(&self) -> usize {
         let agents = self.observable.len() as u32;
         (self.present.trailing_ones().min(agents)) as usize
+    }
+
+    /// The agents that exist and for which somebody acts.
+    pub fn acting(&self) -> AgentSet {
+        let everybody = (1_u128 << self.agents()) - 1;
+        everybody as AgentSet & !self.absent
     }
 
     /// Number of subtasks up to the last one that is open or that something belongs to.

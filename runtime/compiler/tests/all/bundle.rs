@@ -6,8 +6,8 @@ use std::fs;
 use std::path::PathBuf;
 
 use sortie_bundle::{
-    AGENT, Bundle, ContractV1, Draft, Environment, FallbackAllocation, Golden, GoldenCase, Limits,
-    MIN_CASES, Network, Recording, SubtaskConditioning, WIRE_ABI,
+    AGENT, Bundle, CONTRACT_ABI, ContractV1, Draft, Environment, FallbackAllocation, Golden,
+    GoldenCase, Limits, MIN_CASES, Network, Recording, SubtaskConditioning,
 };
 use sortie_compiler::{GraphPolicy, InProcess, compile};
 use sortie_core::plan::{AlignedBytes, Header, Plan, Profile, checksums};
@@ -25,7 +25,7 @@ fn onnx() -> Vec<u8> {
 fn contract() -> ContractV1 {
     let names = |prefix: &str, count: usize| (0..count).map(|i| format!("{prefix}{i}")).collect();
     ContractV1 {
-        abi: WIRE_ABI,
+        abi: CONTRACT_ABI,
         actions: 4,
         features: 6,
         feature_names: names("f", 6),

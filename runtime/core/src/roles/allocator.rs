@@ -260,7 +260,7 @@ impl AllocatorRole {
         self.leadership = Leadership::Leads { term, epoch };
         self.allocations += 1;
         let shape = self.options.format.layout.shape();
-        let present = view.present();
+        let present = view.allocation_state().present;
         let all_present = (0..shape.agents).all(|agent| present.contains(agent));
         let first = if epoch == 1 { AllocMsg::FIRST_OF_TERM } else { 0 };
         let partial = if all_present { 0 } else { AllocMsg::PARTIAL };

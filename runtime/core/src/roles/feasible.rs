@@ -4,7 +4,8 @@ use crate::allocator::{AllocateError, Allocator, UNASSIGNED};
 use crate::limits;
 use crate::wire::FrameView;
 
-/// Writes a feasible allocation of a frame: absent agents have no subtask, whatever the rules gave them.
+/// Writes a feasible allocation of a frame: agents that do not exist, or for which nobody acts, have no subtask,
+/// whatever the rules gave them.
 ///
 /// # Errors
 /// The rules refuse, or give an agent a subtask that is not open.
@@ -15,10 +16,14 @@ pub(super) fn allocate<A: Allocator + ?Sized>(
 ) -> Result<(), AllocateError> {
     *task = [UNASSIGNED; limits::AGENTS];
     let of_agents = task.get_mut(..view.agents()).unwrap_or_default();
-    allocator.allocate(&view.allocation_state(), of_agents)?;
-    let present = view.present();
+    let state = view.allocation_state();
+    if !(0..view.agents()).any(|agent| state.present.contains(agent)) {
+        // Rules need not know of teams without anybody.
+        return Ok(());
+    }
+    allocator.allocate(&state, of_agents)?;
     for (agent, task) in of_agents.iter_mut().enumerate() {
-        if !present.contains(agent) {
+        if !state.present.contains(agent) {
             *task = UNASSIGNED;
         } else if *task != UNASSIGNED && !is_open(view, *task) {
             return Err(AllocateError::Infeasible);

@@ -53,8 +53,10 @@ pub struct WorldOptions {
     /// Without a period, the longest wait for actions; for allocations half of it. 0 = no limit, for
     /// lock-step in one thread.
     pub patience_ns: u64,
-    /// A seat that leaves so many ticks in a row unanswered is vacant.
+    /// An agent for which nobody acts in so many ticks in a row is absent: frames say so, and allocators leave it out.
     pub absent_after: u32,
+    /// Bit a: agent a is absent from the first tick on, until somebody acts for it. No seat of these is required.
+    pub absent: u64,
     /// Ticks between two allocations.
     pub decision_interval: u32,
     /// The contract's safe action.
@@ -101,6 +103,8 @@ pub struct WorldRole {
     allocations_missed: u32,
     /// First of the ticks in a row in which agents acted without a usable allocation.
     unallocated_since: Option<u64>,
+    /// The tick after which each absent agent became so; 0 where it was so from the beginning.
+    absent_since: [u64; limits::AGENTS],
     /// When the current frame was to be published, how that was kept to, and when it was.
     due_ns: u64,
     timing: Timing,
@@ -112,9 +116,7 @@ pub struct WorldRole {
     runners_rung: bool,
     /// Bit a: agent a exists in the current frame.
     present: u64,
-    /// Whether the world's own process acts for agents without another.
-    fills: bool,
-    /// Bit a: it does so for agent a in the current frame.
+    /// Bit a: the world's own process acts for agent a in the current frame, whom no other acts for.
     filled: u64,
     /// Bit a: agent a has answered the current frame.
     answered: u64,
@@ -132,10 +134,11 @@ pub struct WorldRole {
 impl WorldRole {
     /// A world before its first episode.
     pub fn new(options: WorldOptions) -> Self {
+        let absent = options.absent & options.format.layout.every_agent();
         Self {
-            options,
+            options: WorldOptions { required: options.required & !absent, ..options },
             phase: Phase::New,
-            seats: Seats::default(),
+            seats: Seats::without(absent),
             seq: 0,
             count: 0,
             episode: 0,
@@ -146,6 +149,7 @@ impl WorldRole {
             allocation: NewestAllocation::default(),
             allocations_missed: 0,
             unallocated_since: None,
+            absent_since: [0; limits::AGENTS],
             due_ns: 0,
             timing: Timing::default(),
             published_ns: 0,
@@ -153,7 +157,6 @@ impl WorldRole {
             reallocated: false,
             runners_rung: false,
             present: 0,
-            fills: false,
             filled: 0,
             answered: 0,
             answers: [ActionMsg::new_zeroed(); limits::AGENTS],
@@ -188,10 +191,20 @@ impl WorldRole {
         self.seats.joined()
     }
 
+    /// Bit a: nobody acts for agent a, and has not for so long that allocators leave it out.
+    pub fn absent(&self) -> u64 {
+        self.seats.absent()
+    }
+
+    /// The tick after which an agent became absent; 0 where it was so from the beginning. `None`: it is not.
+    pub fn absent_since(&self, agent: usize) -> Option<u64> {
+        self.absent_since.get(agent).copied().filter(|_| self.absent() >> agent & 1 == 1)
+    }
+
     /// Takes answers of the world's own process for the agents for which no other acts: [`Self::filled`] says for
-    /// which. Nobody needs to join then.
+    /// which. Nobody needs to join then, and nobody is absent.
     pub fn fill_free_seats(&mut self) {
-        self.fills = true;
+        self.seats.fill();
         self.options.required = 0;
     }
 

@@ -59,7 +59,7 @@ pub enum AllocationFault {
 impl AllocMsg {
     /// First allocation of this leader.
     pub const FIRST_OF_TERM: u32 = 1;
-    /// Some agents are absent.
+    /// Some agents do not exist in this frame, or nobody acts for them.
     pub const PARTIAL: u32 = 2;
     /// A fallback rule produced it.
     pub const HEURISTIC: u32 = 4;

@@ -113,12 +113,12 @@ impl<'a> FrameMut<'a> {
         }
     }
 
-    /// States the step in the episode, the newest decision tick, and the seats for which a process
-    /// acts. The world role writes them.
-    pub fn set_progress(&mut self, step: u32, decision_tick: u64, joined: u64) {
+    /// States the step in the episode, the newest decision tick, and the agents for which nobody acts: bit a for agent
+    /// a. The world role writes them.
+    pub fn set_progress(&mut self, step: u32, decision_tick: u64, absent: u64) {
         self.head.step = step;
         self.head.decision_tick = decision_tick;
-        self.head.joined = joined & self.layout.every_agent();
+        self.head.absent = absent & self.layout.every_agent();
     }
 }
 

@@ -40,13 +40,13 @@ pub struct FrameHead {
     pub offsets: [u32; 6],
     /// Newest tick, this one included, that asked for an allocation.
     pub decision_tick: u64,
-    /// Bit a: a process acts for agent a.
-    pub joined: u64,
+    /// Bit a: nobody acts for agent a, whether it is present or not.
+    pub absent: u64,
 }
 
 assert_layout!(FrameHead, 64, {
     agents: 0, entities: 2, tasks: 4, actions: 6, features: 8, stride: 10, agent: 12,
-    reserved: 14, open_tasks: 16, step: 20, offsets: 24, decision_tick: 48, joined: 56,
+    reserved: 14, open_tasks: 16, step: 20, offsets: 24, decision_tick: 48, absent: 56,
 });
 
 /// A shape that the wire format cannot carry.
@@ -215,7 +215,7 @@ impl FrameLayout {
             step: 0,
             offsets: self.sections.map(|section| section.offset as u32),
             decision_tick: 0,
-            joined: 0,
+            absent: 0,
         }
     }
 }

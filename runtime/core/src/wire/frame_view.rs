@@ -91,7 +91,7 @@ impl<'a> FrameView<'a> {
             open_tasks: head.open_tasks,
             step: head.step,
             decision_tick: head.decision_tick,
-            joined: head.joined,
+            absent: head.absent,
             ..layout.head()
         };
         if *head != expected {
@@ -131,7 +131,7 @@ impl<'a> FrameView<'a> {
             && (0..agents).all(|agent| entities_exist(self.observable(agent)))
             && self.shows_the_owner_only_what_it_sees()
             && tasks & !layout.every_task() == 0
-            && self.head.joined & !layout.every_agent() == 0
+            && self.head.absent & !layout.every_agent() == 0
             && self
                 .last_actions
                 .iter()
@@ -176,9 +176,9 @@ impl<'a> FrameView<'a> {
         self.head.decision_tick
     }
 
-    /// Bit a: a process acts for agent a.
-    pub fn joined(&self) -> u64 {
-        self.head.joined
+    /// Bit a: nobody has acted for agent a for some ticks, and allocators leave it out. Its body may be present.
+    pub fn absent(&self) -> u64 {
+        self.head.absent
     }
 
     /// Bit t: subtask t is present and not finished.
@@ -263,14 +263,15 @@ impl<'a> FrameView<'a> {
         }
     }
 
-    /// All that an allocator sees; of a private frame nothing that one could work on.
+    /// All that an allocator sees, who counts on agents for which somebody acts and sees no others; of a private frame
+    /// nothing that one could work on.
     pub fn allocation_state(&self) -> AllocationState<'a> {
         AllocationState {
             agents: self.agents(),
             tasks: usize::from(self.head.tasks),
             rows: self.rows,
             stride: self.stride,
-            present: self.present,
+            present: self.present.without(&EntityMask::from_words(&[self.head.absent])),
             entity_task: self.entity_task,
             open_tasks: self.head.open_tasks,
         }

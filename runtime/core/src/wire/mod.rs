@@ -1,4 +1,4 @@
-//! What the processes of a domain say to each other, byte by byte (ABI 1).
+//! What the processes of a domain say to each other, byte by byte (ABI 2).
 //!
 //! Little endian, no implicit padding, every bit pattern valid. A message type that changes
 //! gets a new ABI number: the transport compares only names, sizes and alignments.
@@ -35,7 +35,7 @@ pub use status::{Role, StatMsg};
 compile_error!("the wire format is little endian and read in place");
 
 /// Number of this wire format; a message of another one is dropped.
-pub const ABI: u16 = 1;
+pub const ABI: u16 = 2;
 
 /// Asserts at compile time that a message has the stated size and field offsets, and no field
 /// beyond them.

@@ -19,7 +19,7 @@ impl FrameView<'_> {
         let owner = owner.filter(|_| self.stride() == layout.stride()).ok_or(FrameError::Layout)?;
         let mut frame = FrameMut::new(payload, *layout)?;
         frame.set_open_tasks(self.open_tasks());
-        frame.set_progress(self.step(), self.decision_tick(), self.joined());
+        frame.set_progress(self.step(), self.decision_tick(), self.absent());
         if self.present().contains(owner) {
             self.show(owner, &mut frame);
         }

@@ -17,7 +17,7 @@ const TICK: u64 = 0x2_0000_0003;
 const SHAPE: Shape = Shape { agents: 2, entities: 3, tasks: 2, actions: 3, features: 5 };
 
 const FRAME_HEADER: &str = "\
-    534f52540100010008070605040302011100000000000000030000000200000088776655443322119988776655443322\
+    534f52540200010008070605040302011100000000000000030000000200000088776655443322119988776655443322\
     00020000030000000200000009000000\
 ";
 const FRAME_PAYLOAD: &str = "\
@@ -47,16 +47,16 @@ const PRIVATE_PAYLOAD: &str = "\
     0000000000000000000000000000000000000000000000000000000000000000\
 ";
 const ACTION: &str = "\
-    0807060504030201120000000000000003000000020000003300000000000000a4a3a2a10700000005000b0021000301\
+    0807060504030201120000000000000003000000020000003300000000000000a4a3a2a10700000005000b0021000302\
     0000c0bfd204000002000000e1100000\
 ";
 const ALLOCATION: &str = "\
     080706050403020113000000000000000300000002000000440000000000000007000000020000000200000007000000\
-    b4b3b2b12e16000003000201030000000001ff0000000000000000000000000000000000000000000000000000000000\
+    b4b3b2b12e16000003000202030000000001ff0000000000000000000000000000000000000000000000000000000000\
     0000000000000000000000000000000000000000000000000000000000000000\
 ";
 const STATUS: &str = "\
-    0807060504030201140000000000000055000000000000006600000000000000e1100000010102000500000000000000\
+    0807060504030201140000000000000055000000000000006600000000000000e1100000010202000500000000000000\
     0300000002000000000102030405060708090a0b0c0d0e0f4d0000000900000064000000000000006500000000000000\
     66000000000000006700000000000000680000000000000069000000000000006a000000000000006b00000000000000\
     6c000000000000006d000000000000006e000000000000006f0000000000000070000000000000007100000000000000\
@@ -69,11 +69,11 @@ const STATUS: &str = "\
     0000000000000000000000000000000000000000000000000000000000000000\
 ";
 const CONTROL_REQUEST: &str = "\
-    080706050403020106000100e11000006600000000000000770000000000000072656769737472792d6b657900000000\
+    080706050403020106000200e11000006600000000000000770000000000000072656769737472792d6b657900000000\
     00000000000000000000000000000000\
 ";
 const CONTROL_ANSWER: &str = "\
-    0807060504030201060001000200000003000000020000007700000000000000726f6c653d72756e6e6572207069643d\
+    0807060504030201060002000200000003000000020000007700000000000000726f6c653d72756e6e6572207069643d\
     343332310000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
     000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
     000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000\
@@ -133,7 +133,7 @@ fn action_has_its_golden_bytes() {
         action: 11,
         flags: ActionMsg::STALE_ALLOC | ActionMsg::FALLBACK,
         task: 3,
-        abi: 1,
+        abi: 2,
         q: -1.5,
         decide_ns: 1234,
         alloc_term: 2,
@@ -158,7 +158,7 @@ fn allocation_has_its_golden_bytes() {
         decide_ns: 5678,
         n_agents: 3,
         n_tasks: 2,
-        abi: 1,
+        abi: 2,
         flags: AllocMsg::FIRST_OF_TERM | AllocMsg::PARTIAL,
         task,
     };
@@ -176,7 +176,7 @@ fn status_has_its_golden_bytes() {
         start_ns: 0x66,
         pid: 4321,
         role: Role::Runner as u8,
-        abi: 1,
+        abi: 2,
         n_agents: 2,
         agents: 0b101,
         last_tick: TICK,
@@ -270,7 +270,7 @@ fn frame_payload_has_its_golden_bytes() {
 fn a_view_gives_what_was_written() {
     let (memory, header) = (memory(), header());
     let view = FrameView::new(&header, memory.as_bytes(), &format()).unwrap();
-    assert_eq!((view.agents(), view.step(), view.joined()), (2, 3, 0b01));
+    assert_eq!((view.agents(), view.step(), view.absent()), (2, 3, 0b01));
     assert_eq!((view.decision_tick(), view.episode_start()), (TICK, TICK - 3));
     assert!(view.present().iter().eq([0, 2]));
     assert!(view.observable(1).iter().eq([0, 1, 2]));
@@ -281,6 +281,7 @@ fn a_view_gives_what_was_written() {
     assert_eq!(view.rows()[2 * view.stride()..][..5], [20.0, 21.0, 22.0, 23.0, 24.0]);
     let state = view.allocation_state();
     assert_eq!((state.agents, state.tasks, state.open_tasks), (2, 2, 0b10));
+    assert!(state.present.iter().eq([2]), "an agent for which nobody acts is not counted on");
 }
 
 #[test]
@@ -311,7 +312,7 @@ fn what_does_not_fit_the_domain_is_refused() {
     let payload = memory.as_bytes();
     for foreign in [
         FrameHeader { magic: 0, ..header },
-        FrameHeader { abi: 2, ..header },
+        FrameHeader { abi: 1, ..header },
         FrameHeader { schema: 1, ..header },
     ] {
         assert_eq!(refusal(&foreign, payload), FrameError::Foreign);
@@ -337,7 +338,7 @@ fn no_bit_makes_a_view_name_what_does_not_exist() {
         assert!((0..2).all(|agent| view.observable(agent).iter().all(|entity| entity < 3)));
         assert!(view.entity_task().iter().all(|tasks| tasks >> 2 == 0), "bit {bit}");
         assert!(view.last_actions().iter().all(|&last| last < 3 || last == 0xFFFF), "bit {bit}");
-        assert!(view.open_tasks() >> 2 == 0 && view.joined() >> 2 == 0, "bit {bit}");
+        assert!(view.open_tasks() >> 2 == 0 && view.absent() >> 2 == 0, "bit {bit}");
         assert_eq!((view.agents(), view.stride()), (2, 8));
     }
 }
@@ -346,7 +347,7 @@ fn no_bit_makes_a_view_name_what_does_not_exist() {
 fn an_allocation_of_another_shape_is_dropped() {
     let allocation = AllocMsg {
         schema: SCHEMA,
-        abi: 1,
+        abi: 2,
         n_agents: 2,
         n_tasks: 2,
         task: [0xFF; 64],
@@ -362,7 +363,7 @@ fn an_allocation_of_another_shape_is_dropped() {
     assert_eq!(beyond.check(SCHEMA, SHAPE), Ok(()));
     let other = AllocMsg { n_agents: 3, ..allocation };
     assert_eq!(other.check(SCHEMA, SHAPE), Err(AllocationFault::Content));
-    let foreign = AllocMsg { abi: 2, ..allocation };
+    let foreign = AllocMsg { abi: 1, ..allocation };
     assert_eq!(foreign.check(SCHEMA, SHAPE), Err(AllocationFault::Foreign));
     assert_eq!(allocation.check(SCHEMA + 1, SHAPE), Err(AllocationFault::Foreign));
 }
@@ -393,7 +394,7 @@ fn a_private_frame_has_its_golden_bytes() {
 fn a_private_frame_shows_its_owner_what_a_world_frame_shows_it() {
     let (memory, header) = private_memory(0);
     let view = FrameView::new(&header, memory.as_bytes(), &private_format(0)).unwrap();
-    assert_eq!((view.owner(), view.agents(), view.step(), view.joined()), (Some(0), 1, 3, 0b01));
+    assert_eq!((view.owner(), view.agents(), view.step(), view.absent()), (Some(0), 1, 3, 0b01));
     assert!(view.present().iter().eq([0]) && view.observable(0).iter().eq([0]));
     assert!(view.observable(1).is_empty() && view.available(1).is_empty());
     assert_eq!(view.available(0), [0, 1, 0]);

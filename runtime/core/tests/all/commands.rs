@@ -120,6 +120,7 @@ impl Stage {
             period_ns: PERIOD,
             patience_ns: 0,
             absent_after: u32::MAX,
+            absent: 0,
             decision_interval: 2,
             safe_action: Some(1),
             episodes: None,
@@ -141,7 +142,7 @@ impl Stage {
     fn seat(&mut self, role: Role, pid: u32, flags: u32) {
         let status = StatMsg {
             schema: SCHEMA,
-            abi: 1,
+            abi: 2,
             role: role as u8,
             pid,
             agents: 1,
@@ -160,7 +161,7 @@ impl Stage {
             epoch,
             n_agents: 1,
             n_tasks: 1,
-            abi: 1,
+            abi: 2,
             ..AllocMsg::new_zeroed()
         };
         self.team.allocator(&mut self.cursors[2]).send_allocation(&allocation).unwrap();
@@ -213,7 +214,7 @@ impl Stage {
             schema: SCHEMA,
             tick: self.world.tick() & !u64::from(u32::MAX) | tick,
             task: sortie_core::UNASSIGNED,
-            abi: 1,
+            abi: 2,
             runner: RUNNER,
             ..ActionMsg::new_zeroed()
         };

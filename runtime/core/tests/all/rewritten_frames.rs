@@ -94,7 +94,7 @@ impl Scene {
         let format = FrameFormat { schema: 5, layout };
         let header = FrameHeader {
             magic: FrameHeader::MAGIC,
-            abi: 1,
+            abi: 2,
             kind: layout.kind() as u16,
             schema: format.schema,
             seq: 1,
@@ -121,7 +121,7 @@ impl Scene {
             decide_ns: 0,
             n_agents: SHAPE.agents as u16,
             n_tasks: SHAPE.tasks as u8,
-            abi: 1,
+            abi: 2,
             flags: 0,
             task: [1; 64],
         };
@@ -179,7 +179,7 @@ fn fill(frame: &mut FrameMut<'_>, agents: u64) {
     (0..SHAPE.agents).for_each(|agent| frame.set_last_action(agent, 2));
     let numbers = (0..).map(|number| (number % 7) as f32 - 3.0);
     frame.rows_mut().iter_mut().zip(numbers).for_each(|(to, number)| *to = number);
-    frame.set_progress(0, TICK, 0b111);
+    frame.set_progress(0, TICK, 0);
 }
 
 fn scenes() -> [Scene; 2] {

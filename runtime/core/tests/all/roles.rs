@@ -35,6 +35,7 @@ impl Clock for Hand {
 struct Still {
     open: u32,
     present: u64,
+    absent: u64,
     available: [u16; SHAPE.actions],
 }
 
@@ -111,7 +112,7 @@ impl Stage {
         let team = Direct::new(memory, clock);
         let (format, still) = (
             FrameFormat { schema: 5, layout },
-            Still { open: 0b11, present: 0b1111, available: [1; 3] },
+            Still { open: 0b11, present: 0b1111, absent: 0, available: [1; 3] },
         );
         Self { team, clock, format, world, runner, allocator, still }
     }
@@ -121,7 +122,7 @@ impl Stage {
         let t_ns = self.clock.now_ns();
         let header = FrameHeader {
             magic: FrameHeader::MAGIC,
-            abi: 1,
+            abi: 2,
             kind: FrameKind::World as u16,
             schema: self.format.schema,
             seq: u64::from(count),
@@ -138,7 +139,7 @@ impl Stage {
         link.send_frame(&mut |payload| {
             let mut frame = FrameMut::new(payload, format.layout).unwrap();
             still.observe(&mut frame);
-            frame.set_progress(count - 1, TERM + u64::from(decision), 0b11);
+            frame.set_progress(count - 1, TERM + u64::from(decision), still.absent);
             Ok(header)
         })
         .unwrap();
@@ -158,7 +159,7 @@ impl Stage {
             decide_ns: 0,
             n_agents: 2,
             n_tasks: 2,
-            abi: 1,
+            abi: 2,
             flags: 0,
             task: [task; 64],
         };
@@ -186,7 +187,7 @@ impl Stage {
         statuses
     }
 
-    fn poll_allocator(&mut self, role: &mut AllocatorRole, rules: &mut Gives) -> Poll {
+    fn poll_allocator(&mut self, role: &mut AllocatorRole, rules: &mut dyn Allocator) -> Poll {
         role.poll(&mut self.team.allocator(&mut self.allocator), rules).unwrap()
     }
 
@@ -232,6 +233,7 @@ impl Stage {
             period_ns: 1_000,
             patience_ns: 0,
             absent_after: 3,
+            absent: 0,
             decision_interval: INTERVAL,
             safe_action: Some(1),
             episodes: None,
@@ -293,6 +295,42 @@ fn a_leader_without_a_frame_waits_for_the_first() {
     assert_eq!(first.flags, AllocMsg::FIRST_OF_TERM | AllocMsg::PARTIAL);
     assert_eq!(first.valid_until, TERM + 1 + 2 * u64::from(INTERVAL));
     assert_eq!(first.task[..2], [UNASSIGNED, 1], "agent 0 is absent");
+}
+
+#[test]
+fn an_agent_for_which_nobody_acts_is_given_nothing_and_no_rule_is_asked_about_nobody() {
+    struct Seen(Vec<usize>);
+    impl Allocator for Seen {
+        fn allocate(
+            &mut self,
+            state: &AllocationState<'_>,
+            tasks: &mut [u8],
+        ) -> Result<(), AllocateError> {
+            self.0 = state.present.iter().collect();
+            Gives(Some(1)).allocate(state, tasks)
+        }
+    }
+    let mut stage = Stage::new();
+    let (mut role, mut rules) = (stage.allocator_role(), Seen(Vec::new()));
+    role.lead(1);
+    for (count, absent, seen, task, flags) in [
+        (1, 0b10, vec![0, 2, 3], [1, UNASSIGNED], AllocMsg::FIRST_OF_TERM | AllocMsg::PARTIAL),
+        (2, 0b11, vec![], [UNASSIGNED; 2], AllocMsg::PARTIAL),
+        (3, 0, vec![0, 1, 2, 3], [1; 2], 0),
+    ] {
+        (stage.still.absent, rules.0) = (absent, Vec::new());
+        stage.send(count, count, FrameHeader::REALLOC, 100);
+        stage.poll_allocator(&mut role, &mut rules);
+        let allocation = stage.allocation().unwrap();
+        assert_eq!((&allocation.task[..2], allocation.flags), (&task[..], flags));
+        assert_eq!(rules.0, seen);
+    }
+    // Its body stays where it is: whoever acts sees it.
+    stage.still.absent = 0b10;
+    stage.send(4, 0, 0, 100);
+    let mut runner = stage.runner_role(0);
+    stage.poll_runner(&mut runner);
+    assert_eq!(stage.answers().len(), 2, "a process that is back answers, absent or not");
 }
 
 #[test]
@@ -487,7 +525,7 @@ fn an_answer_that_cannot_be_given_is_not_applied() {
     }
     let tick = TERM + 1;
     let mut sent = |agent, action| {
-        let good = ActionMsg { schema: 5, abi: 1, tick, agent, action, ..ActionMsg::new_zeroed() };
+        let good = ActionMsg { schema: 5, abi: 2, tick, agent, action, ..ActionMsg::new_zeroed() };
         stage.team.agent(&mut stage.runner).send_action(&good).unwrap();
     };
     sent(0, 1);
@@ -519,7 +557,7 @@ fn an_answer_without_a_seat_is_not_applied() {
         let mut send = |agent, runner| {
             let tick = world.tick();
             let answer =
-                ActionMsg { schema: 5, abi: 1, tick, agent, runner, ..ActionMsg::new_zeroed() };
+                ActionMsg { schema: 5, abi: 2, tick, agent, runner, ..ActionMsg::new_zeroed() };
             stage
                 .team
                 .agent(&mut stage.runner)

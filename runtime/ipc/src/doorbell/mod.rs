@@ -324,10 +324,10 @@ mod tests {
         let _member = domain.enter().unwrap();
         let region = Region::open(&domain).unwrap();
         Region::open(&domain).unwrap();
-        region.page().abi.store(2, Ordering::SeqCst);
+        region.page().abi.store(1, Ordering::SeqCst);
         for _ in 0..2 {
             let refused = Region::open(&domain).unwrap_err().to_string();
-            assert!(refused.ends_with("is no doorbell of ABI 1: 4c4c454249545253, 2"), "{refused}");
+            assert!(refused.ends_with("is no doorbell of ABI 2: 4c4c454249545253, 1"), "{refused}");
         }
     }
 

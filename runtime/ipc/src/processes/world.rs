@@ -20,7 +20,7 @@ use crate::stop::Stop;
 
 /// How long the processes of the team may take to leave.
 const GOODBYE_PATIENCE: Duration = Duration::from_secs(2);
-/// A seat that leaves so many ticks in a row unanswered is vacant.
+/// An agent for which nobody acts in so many ticks in a row is absent.
 const ABSENT_AFTER: u32 = 3;
 
 /// How a world treats its team.
@@ -28,6 +28,9 @@ const ABSENT_AFTER: u32 = 3;
 pub struct WorldSettings {
     /// Bit a: agent a must be acted for by a process; others play the fallback action meanwhile.
     pub required: u64,
+    /// Bit a: agent a is absent from the first tick on, until a process acts for it: it is not waited for, and
+    /// allocators leave it out. In one process, nobody acts for it.
+    pub absent: u64,
     /// Whether an allocator is waited for and asked.
     pub allocator: bool,
     /// Longest wait for the required seats and the allocator before the first episode.
@@ -58,10 +61,11 @@ pub struct WorldSettings {
 }
 
 impl Default for WorldSettings {
-    /// All agents required, strictly; no allocator, 10 s to join, 2 s to act, no end, no period, no pause.
+    /// All agents required, strictly, none absent; no allocator, 10 s to join, 2 s to act, no end, no period, no pause.
     fn default() -> Self {
         Self {
             required: u64::MAX,
+            absent: 0,
             allocator: false,
             join_patience: Duration::from_secs(10),
             patience: Duration::from_secs(2),
@@ -98,6 +102,7 @@ impl WorldSettings {
             pipelined: false,
             period_ns: nanoseconds(self.period),
             absent_after: ABSENT_AFTER,
+            absent: self.absent,
             join_patience_ns: nanoseconds(self.join_patience),
             patience_ns: nanoseconds(self.patience),
             decision_interval: contract.decision_interval,
@@ -232,6 +237,14 @@ impl Process for Playing<'_, '_> {
     }
 }
 
+impl Playing<'_, '_> {
+    /// The tick after which the first of the absent agents became so.
+    fn absent_since(&self) -> u64 {
+        let agents = 0..sortie_core::limits::AGENTS;
+        agents.filter_map(|agent| self.role.absent_since(agent)).min().unwrap_or(0)
+    }
+}
+
 impl Controlled for Playing<'_, '_> {
     fn schema(&self) -> u64 {
         self.options.format.schema
@@ -244,6 +257,8 @@ impl Controlled for Playing<'_, '_> {
     fn info(&self) -> ProcessInfo {
         ProcessInfo {
             agents: self.role.joined(),
+            absent: self.role.absent(),
+            absent_since: self.absent_since(),
             term: Some(self.options.term),
             is_paused: self.role.is_paused(),
             is_degraded: self.role.is_degraded(),

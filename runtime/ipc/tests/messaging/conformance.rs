@@ -276,6 +276,7 @@ every_link_obeys! {
         a_goodbye_frees_the_seat,
         the_goodbye_of_an_earlier_holder_frees_nothing,
         nobody_acts_for_a_free_seat_but_the_fallback,
+        a_silent_agent_is_left_out_of_allocations_until_it_acts_again,
         late_and_impossible_actions_are_counted_not_applied,
         shutting_down_ends_everyone;
 }

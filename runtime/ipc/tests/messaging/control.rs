@@ -189,7 +189,7 @@ fn every_role_tells_of_itself_and_counts_requests_of_others() {
     let mut watcher: IoxWatcher = IoxWatcher::open(&setup).unwrap();
     let mut link: IoxControl = IoxControl::open(&setup).unwrap();
     let own = ControlReq { token: 77, ..ControlReq::new(format.schema, Command::Pause) };
-    let foreign = [ControlReq { schema: format.schema ^ 1, ..own }, ControlReq { abi: 2, ..own }];
+    let foreign = [ControlReq { schema: format.schema ^ 1, ..own }, ControlReq { abi: 1, ..own }];
     for request in foreign {
         let answers = link.ask(&request, Duration::from_secs(10)).unwrap();
         assert_eq!(answers.len(), 4);

@@ -111,6 +111,7 @@ fn world_role(format: FrameFormat) -> WorldRole {
         period_ns: 0,
         patience_ns: 0,
         absent_after: 3,
+        absent: 0,
         decision_interval: contract.decision_interval,
         safe_action: contract.safe_action,
         episodes: Some(EPISODES),

@@ -505,10 +505,10 @@ fn builds_of_another_abi_are_refused() {
     let (contract, settings, stop) = (toy::contract(), ProcessSettings::default(), Stop::new());
     let facts = domain.base().join("domain.toml");
     let ours = std::fs::read_to_string(&facts).unwrap();
-    std::fs::write(&facts, ours.replace("abi = 1", "abi = 2")).unwrap();
+    std::fs::write(&facts, ours.replace("abi = 2", "abi = 1")).unwrap();
     let refused =
         runner_process(&domain, &contract, &[1], &mut ToyPolicy, &settings, &stop).unwrap_err();
-    assert!(refused.to_string().ends_with("messages are of ABI 1 here, 2 there"), "{refused}");
+    assert!(refused.to_string().ends_with("messages are of ABI 2 here, 1 there"), "{refused}");
     assert_eq!(refused.exit_code(), 78);
     std::fs::write(&facts, ours).unwrap();
     kill_process(pid(&world), Signal::TERM).unwrap();

@@ -78,6 +78,7 @@ fn decide(link: impl WorldLink) -> DecisionLog {
         pipelined: false,
         period_ns: 0,
         absent_after: 3,
+        absent: 0,
         join_patience_ns: u64::MAX,
         patience_ns: 0,
         decision_interval: contract.decision_interval,

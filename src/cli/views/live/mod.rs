@@ -75,7 +75,7 @@ pub(super) fn live<S: Show>(
 }
 
 /// All that plays: plans, which have given the bundle's golden answers, and what they are asked.
-fn cast(bundle: &Bundle, set: &ScenarioSetName) -> Result<Cast, Failure> {
+pub fn cast(bundle: &Bundle, set: &ScenarioSetName) -> Result<Cast, Failure> {
     let (contract, limits) = (bundle.contract(), bundle.manifest().limits);
     let agents = plans().agents(bundle, Profile::Exact)?;
     let allocator = plans().allocator(bundle)?.map(|plan| AllocatorCast {

@@ -9,7 +9,7 @@ use sortie_core::roles::TickReport;
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameMut};
 use sortie_core::{
     AllocateError, AllocationState, Allocator, DecideError, Decision, EntityMask, Observation,
-    Policy, Shape, StepOutcome, UnavailableAction, World,
+    Policy, Shape, StepOutcome, UNASSIGNED, UnavailableAction, World,
 };
 use sortie_ipc::DomainContract;
 
@@ -116,6 +116,23 @@ fn task_of(number: u32, agent: usize) -> u8 {
     ((number as usize + agent) % TASKS) as u8
 }
 
+/// A frame that was published.
+#[derive(Clone, Copy)]
+struct Published {
+    tick: u64,
+    number: u32,
+    /// Bit a: it says that nobody acts for agent a.
+    absent: u64,
+}
+
+impl Published {
+    /// The subtask that an allocation for this frame gives an agent.
+    fn task_of(&self, agent: usize) -> u8 {
+        let is_absent = self.absent >> agent & 1 == 1;
+        if is_absent { UNASSIGNED } else { task_of(self.number, agent) }
+    }
+}
+
 /// Allocates by the frame's number; refuses a torn frame.
 pub(super) struct StormAllocator;
 
@@ -141,8 +158,7 @@ pub(super) struct Checks {
     number: Rc<Cell<u32>>,
     /// The number of the frame that the next report is about.
     current: u32,
-    /// Newest frames: tick and number.
-    frames: VecDeque<(u64, u32)>,
+    frames: VecDeque<Published>,
     /// Newest allocations, not yet compared with their frames, and compared.
     pending: Vec<AllocMsg>,
     allocations: VecDeque<AllocMsg>,
@@ -176,7 +192,8 @@ impl Checks {
     /// Called after the step: the world already shows the next number.
     pub(super) fn tick(&mut self, report: &TickReport<'_>) {
         let number = std::mem::replace(&mut self.current, self.number.get());
-        remember(&mut self.frames, (report.tick, number));
+        let TickReport { tick, absent, .. } = *report;
+        remember(&mut self.frames, Published { tick, number, absent });
         self.found.ticks += 1;
         let everybody = (1 << AGENTS) - 1;
         self.found.ticks_with_fallback += u64::from(report.answered != everybody);
@@ -188,7 +205,7 @@ impl Checks {
 
     fn check_answer(&mut self, answer: &ActionMsg, number: u32) {
         let order = (answer.alloc_term, answer.alloc_epoch);
-        let decides = answer.task != sortie_core::UNASSIGNED;
+        let decides = answer.task != UNASSIGNED;
         let is_torn = decides && (answer.has(ActionMsg::FALLBACK) || answer.q != number as f32);
         self.found.torn_frames += u64::from(is_torn);
         if answer.has(ActionMsg::NO_ALLOC) {
@@ -208,11 +225,10 @@ impl Checks {
     /// Allocations of frames that are not done yet are compared later.
     fn check_allocations(&mut self) {
         let Self { frames, pending, found, .. } = self;
-        let newest = frames.back().map_or(0, |(tick, _)| *tick);
+        let newest = frames.back().map_or(0, |frame| frame.tick);
         pending.retain(|allocation| {
-            let frame = frames.iter().find(|(tick, _)| *tick == allocation.tick);
-            if let Some((_, number)) = frame {
-                let is_right = |agent: usize| allocation.task[agent] == task_of(*number, agent);
+            if let Some(frame) = frames.iter().find(|frame| frame.tick == allocation.tick) {
+                let is_right = |agent: usize| allocation.task[agent] == frame.task_of(agent);
                 found.wrong_assignments += u64::from(!(0..AGENTS).all(is_right));
             }
             allocation.tick > newest

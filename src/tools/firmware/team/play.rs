@@ -287,6 +287,7 @@ fn world_options(setup: &Setup<'_>, allocator: bool) -> WorldOptions {
         patience_ns: PATIENCE_NS,
         // A device whose frames are lost is not given up: nobody else acts for its agent.
         absent_after: u32::MAX,
+        absent: 0,
         decision_interval: setup.contract.decision_interval,
         safe_action: setup.contract.safe_action,
         episodes: Some(setup.episodes),

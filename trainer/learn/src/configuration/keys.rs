@@ -24,6 +24,12 @@ pub const WHERE: [Section; 2] = [
             key("name", "", Text, "Name of the environment."),
             key("set", "", Text, "Starts that episodes are drawn from; empty for the default."),
             INSTANCES,
+            key(
+                "failures",
+                "probability",
+                SHARE,
+                "How probable it is in each step that an agent fails: for the rest of the episode it repeats its last action, and allocators leave it out. Evaluations have no failures.",
+            ),
         ],
     },
     Section {

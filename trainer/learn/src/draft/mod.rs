@@ -8,9 +8,9 @@ use std::path::Path;
 
 use sortie_bundle::files::{MOST_BYTES, read_file};
 use sortie_bundle::{
-    AGENT, AgentGraph, CARD, CURVE, CURVE_DATA, ContractV1, Draft, Environment as Described,
-    FallbackAllocation, Golden, GoldenCase, Limits, Network, OPTION_GRAPHS, OPTIONS, POLICY,
-    POLICY_ROLES, PolicyRoles, SubtaskConditioning, TRAINING, WIRE_ABI,
+    AGENT, AgentGraph, CARD, CONTRACT_ABI, CURVE, CURVE_DATA, ContractV1, Draft,
+    Environment as Described, FallbackAllocation, Golden, GoldenCase, Limits, Network,
+    OPTION_GRAPHS, OPTIONS, POLICY, POLICY_ROLES, PolicyRoles, SubtaskConditioning, TRAINING,
 };
 use sortie_envs::{Environment, Shape, Spec};
 
@@ -250,7 +250,7 @@ fn card(run: &MethodRun<'_>, measured: &[Measured], networks: &DeployedNetworks<
 /// The contract of agents that know of no subtasks.
 pub fn contract(spec: &Spec, append_last_action: bool) -> ContractV1 {
     ContractV1 {
-        abi: WIRE_ABI,
+        abi: CONTRACT_ABI,
         actions: spec.shape.actions as u16,
         features: spec.shape.features as u16,
         feature_names: spec.features.clone(),

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::Environment;
 use sortie_envs::registry::Setting;
+use sortie_envs::{Environment, Failing};
 use sortie_nn::layers::products::Products;
 use toml::{Table, Value};
 
@@ -23,6 +23,9 @@ pub struct EnvironmentChoice {
     pub set: String,
     /// Episodes that run at the same time; one that ends restarts at once.
     pub instances: usize,
+    /// How probable it is in a step that an agent fails for the rest of its episode.
+    #[serde(default)]
+    pub failures: f64,
     /// Numbers of the rules that differ from the usual ones.
     #[serde(default)]
     pub settings: BTreeMap<String, Setting>,
@@ -33,6 +36,14 @@ impl EnvironmentChoice {
     pub fn of(environment: &dyn Environment, instances: usize) -> Self {
         let name = environment.spec().name.to_owned();
         Self { name, instances, ..Self::default() }
+    }
+
+    /// The same environment, in which agents fail where that is wanted.
+    pub fn with_failures(&self, environment: Box<dyn Environment>) -> Box<dyn Environment> {
+        match self.failures > 0.0 {
+            true => Box::new(Failing::new(environment, self.failures)),
+            false => environment,
+        }
     }
 }
 

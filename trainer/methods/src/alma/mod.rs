@@ -239,6 +239,10 @@ fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
             let records = Records::new(&config, environment, seed, threads);
             Box::new(records.beginning_with(learned))
         }
+        Config::Windows(_) if setup.environment.failures > 0.0 => {
+            let reason = "`environment.failures` is for the preset `fast`: the allocator that proposes counts on all agents";
+            return Err(LearnError::Config(reason.to_owned()));
+        }
         Config::Windows(config) => {
             let windows = WindowLearner::new(&config, environment.spec(), seed, threads);
             Box::new(windows.beginning_with(learned))

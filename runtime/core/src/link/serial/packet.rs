@@ -45,7 +45,7 @@ pub(super) struct FramePacket {
     pub(super) open_tasks: u32,
     pub(super) step: u32,
     pub(super) decision_tick: u64,
-    pub(super) joined: u64,
+    pub(super) absent: u64,
     /// The agents whose view follows.
     pub(super) agents: u64,
 }

@@ -118,7 +118,7 @@ fn frame(tick: u64) -> (FrameHeader, Vec<FrameBlock>) {
         }
     }
     frame.set_open_tasks(0b10);
-    frame.set_progress(3, tick - 1, 0b111);
+    frame.set_progress(3, tick - 1, 0b101);
     let header = FrameHeader {
         magic: FrameHeader::MAGIC,
         abi: ABI,
@@ -144,7 +144,7 @@ fn allocation(tick: u64) -> AllocMsg {
         valid_until: tick + 4,
         n_agents: 3,
         n_tasks: 2,
-        abi: 1,
+        abi: 2,
         task: [0xFF; 64],
         ..AllocMsg::new_zeroed()
     };
@@ -188,7 +188,7 @@ fn assert_true(got: Frame<'_>) {
     let want = FrameView::new(&header, payload.as_bytes(), &format()).unwrap();
     let view = FrameView::new(got.header, got.payload, &format()).unwrap();
     assert_eq!((got.header.t_ns, got.header.deadline_ns), (5_000_000, 9_000_000));
-    assert_eq!((view.step(), view.joined(), view.open_tasks()), (3, 0b111, 0b10));
+    assert_eq!((view.step(), view.absent(), view.open_tasks()), (3, 0b101, 0b10));
     assert_eq!(view.decision_tick(), want.decision_tick());
     let mut seen = EntityMask::from_words(&[AGENTS]);
     for agent in [0, 2] {
@@ -350,7 +350,7 @@ fn packets_are_what_they_always_were() {
         action: 3,
         flags: ActionMsg::LATE,
         task: 1,
-        abi: 1,
+        abi: 2,
         q: 1.5,
         decide_ns: 4_000,
         alloc_term: 1,
@@ -362,7 +362,7 @@ fn packets_are_what_they_always_were() {
         start_ns: 4_000_000,
         pid: 4_711,
         role: 1,
-        abi: 1,
+        abi: 2,
         n_agents: 1,
         agents: 0b100,
         last_tick: 1 << 32 | 7,
@@ -377,16 +377,16 @@ fn packets_are_what_they_always_were() {
         sealed(|packer| packer.put(&Packet::Status(StatusPacket::new(&status)))),
     ];
     let golden = [
-        "001c02080706050403020101ac028780808010effdb6f50d0202030801010cc03fa01f01e7240fea8b6800",
-        "001a01080706050403020101878080801087808080108b8080801001010103030209030101ff4e3fb18d00",
-        "000d0308070605040302010101021ae7240104878080801009090909090909090909090909090909020101010d\
-         076167656e742f32e20e834a00",
+        "001c02080706050403020102ac028780808010effdb6f50d0202030801010cc03fa01f01e724ef5dc88a00",
+        "001a01080706050403020102878080801087808080108b8080801001010103030209030101ffae88f26f00",
+        "000d0308070605040302010201021ae7240104878080801009090909090909090909090909090909020101010d\
+         076167656e742f32a3f3175b00",
     ];
     assert_eq!(packets.map(|packet| digits(&encoded(&packet))), golden);
     // A frame of 70 entities is long: its checksum stands for it.
     let frame = frame_packet(1 << 32 | 7);
     let (_, checksum) = frame.split_last_chunk::<4>().unwrap();
-    assert_eq!((frame.len(), digits(checksum).as_str()), (2_651, "c42a8e8d"));
+    assert_eq!((frame.len(), digits(checksum).as_str()), (2_651, "12230f00"));
 }
 
 #[test]

@@ -81,7 +81,7 @@ fn head(
         open_tasks: view.map_or(0, FrameView::open_tasks),
         step: view.map_or(0, FrameView::step),
         decision_tick: view.map_or(0, FrameView::decision_tick),
-        joined: view.map_or(0, FrameView::joined),
+        absent: view.map_or(0, FrameView::absent),
         agents,
     }
 }
@@ -137,11 +137,11 @@ pub(super) fn read(
         return Some(header);
     }
     let exists = head.agents & !layout.every_agent() == 0
-        && head.joined & !layout.every_agent() == 0
+        && head.absent & !layout.every_agent() == 0
         && head.open_tasks & !layout.every_task() == 0;
     let mut frame = FrameMut::new(payload, *layout).ok().filter(|_| exists)?;
     frame.set_open_tasks(head.open_tasks);
-    frame.set_progress(head.step, head.decision_tick, head.joined);
+    frame.set_progress(head.step, head.decision_tick, head.absent);
     let seen = take_set(&mut packet, layout)?;
     frame.set_present(&seen);
     for agent in each(head.agents) {

@@ -136,8 +136,14 @@ impl WorldRole {
         let next_ns = self.due_ns.saturating_add(interval_ns);
         self.timing.overran = interval_ns != 0 && now > next_ns;
         observer.tick(&self.report(actions, outcome, now));
-        let asked = self.awaited() & !self.filled;
-        self.seats.note_answers(asked, self.answered, self.options.absent_after);
+        let acted = self.answered | self.filled;
+        let (tick, before) = (self.tick(), self.seats.absent());
+        self.seats.note_answers(self.present, acted, self.options.absent_after);
+        let newly = self.seats.absent() & !before;
+        let since = self.absent_since.iter_mut().enumerate();
+        for (_, since) in since.filter(|(agent, _)| newly >> agent & 1 == 1) {
+            *since = tick;
+        }
         self.last_actions = applied;
         self.step += 1;
         self.allocate_next |= outcome.tasks_changed;
@@ -208,6 +214,7 @@ impl WorldRole {
             tick_ns: now_ns.saturating_sub(self.published_ns),
             timing: self.timing,
             allocations_missed: self.allocations_missed,
+            absent: self.seats.absent(),
             degraded: self.is_degraded(),
             outcome,
         }

@@ -35,8 +35,7 @@ impl WorldRole {
         }
         self.allocate_next = false;
         self.answered = 0;
-        let free = self.options.format.layout.every_agent() & !self.seats.joined();
-        self.filled = if self.fills { free } else { 0 };
+        self.filled = self.seats.filled() & self.options.format.layout.every_agent();
         self.publish(link, world, FrameKind::World, flags)?;
         self.phase = Phase::Acting;
         if self.reallocated {
@@ -100,13 +99,16 @@ impl WorldRole {
 
     /// Adds what the role knows to a frame, and notes who must answer it.
     fn complete(&mut self, frame: &mut FrameMut<'_>) {
-        frame.set_progress(self.step, self.decision_tick, self.seats.joined());
+        let absent = self.seats.absent();
+        frame.set_progress(self.step, self.decision_tick, absent);
         let present = frame.present();
         self.present = 0;
         for agent in 0..self.options.format.layout.shape().agents {
             let last = self.last_actions.get(agent).copied().unwrap_or(NO_ACTION);
             frame.set_last_action(agent, last);
-            frame.set_entity_task(agent, self.tasks.get(agent).copied().unwrap_or(0));
+            // What an absent agent worked on is nobody's.
+            let tasks = self.tasks.get(agent).filter(|_| absent >> agent & 1 == 0);
+            frame.set_entity_task(agent, tasks.copied().unwrap_or(0));
             if present.contains(agent) {
                 self.present |= 1 << agent;
             }

@@ -31,6 +31,8 @@ pub struct TickReport<'a> {
     /// Allocations asked for, one after the other, since the last one came. A leader that leaves three
     /// unanswered is to step down.
     pub allocations_missed: u32,
+    /// Bit a: nobody acts for agent a, and allocators leave it out: as its frame said, which the step does not change.
+    pub absent: u64,
     /// Agents have acted without a usable allocation for longer than its grace.
     pub degraded: bool,
     /// What the step did.

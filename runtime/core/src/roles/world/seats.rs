@@ -11,8 +11,12 @@ pub(super) struct Seats {
     joined: u64,
     /// Process that acts for each joined agent.
     owners: [u32; limits::AGENTS],
-    /// Ticks in a row that each agent left unanswered.
+    /// Ticks in a row in which nobody answered for each agent; a process that takes the seat begins anew.
     silent: [u32; limits::AGENTS],
+    /// Bit a: nobody acts for agent a, and has not for so long that it is not counted on.
+    absent: u64,
+    /// The world's own process acts for agents whose seats are free: nobody is absent.
+    fills: bool,
     /// The allocator that leads, or did last.
     leader: Option<u32>,
     changed: bool,
@@ -22,15 +26,44 @@ pub(super) struct Seats {
 
 impl Default for Seats {
     fn default() -> Self {
-        let none = [0; limits::AGENTS];
-        Self { joined: 0, owners: none, silent: none, leader: None, changed: false, restarts: 0 }
+        Self::without(0)
     }
 }
 
 impl Seats {
+    /// Free seats, of which these are of agents that are absent from the beginning: bit a for agent a.
+    pub(super) fn without(absent: u64) -> Self {
+        let none = [0; limits::AGENTS];
+        Self {
+            joined: 0,
+            owners: none,
+            silent: none,
+            absent,
+            fills: false,
+            leader: None,
+            changed: false,
+            restarts: 0,
+        }
+    }
+
     /// Bit a: a process acts for agent a.
     pub(super) fn joined(&self) -> u64 {
         self.joined
+    }
+
+    /// Has the world's own process act for agents whose seats are free.
+    pub(super) fn fill(&mut self) {
+        (self.fills, self.absent) = (true, 0);
+    }
+
+    /// Bit a: the world's own process acts for agent a.
+    pub(super) fn filled(&self) -> u64 {
+        if self.fills { !self.joined } else { 0 }
+    }
+
+    /// Bit a: nobody acts for agent a, who is left out of allocations.
+    pub(super) fn absent(&self) -> u64 {
+        self.absent
     }
 
     /// How many processes hold these seats.
@@ -61,7 +94,7 @@ impl Seats {
         self.restarts
     }
 
-    /// Whether seats were taken or left since the last call.
+    /// Whether seats were taken, or agents became absent or came back, since the last call.
     pub(super) fn take_changed(&mut self) -> bool {
         core::mem::take(&mut self.changed)
     }
@@ -102,11 +135,15 @@ impl Seats {
 
     fn join(&mut self, agent: usize, process: u32) {
         let Some(owner) = self.owners.get_mut(agent) else { return };
-        if self.joined >> agent & 1 == 0 || *owner != process {
-            *owner = process;
+        let is_new = core::mem::replace(owner, process) != process;
+        if self.joined >> agent & 1 == 0 || is_new {
             self.joined |= 1 << agent;
             self.changed = true;
             self.hear(agent);
+        }
+        // One that takes its seat again has to act first: whoever is too slow takes it again and again.
+        if is_new {
+            self.set_absent(agent, false);
         }
     }
 
@@ -116,30 +153,33 @@ impl Seats {
         }
     }
 
-    /// Frees a seat if `process` holds it: the goodbye of an earlier holder may come late.
-    pub(super) fn leave(&mut self, agent: usize, process: u32) {
-        if self.owners.get(agent) == Some(&process) {
-            self.vacate(agent);
-        }
-    }
-
-    fn vacate(&mut self, agent: usize) {
-        if self.joined >> agent & 1 == 1 {
-            self.joined &= !(1 << agent);
+    /// An agent has become absent, or has come back.
+    fn set_absent(&mut self, agent: usize, is_absent: bool) {
+        if !self.fills && (self.absent >> agent & 1 == 1) != is_absent {
+            self.absent ^= 1 << agent;
             self.changed = true;
         }
     }
 
-    /// After a tick: of the agents that were to answer, those that did not are silent. A seat that is
-    /// silent for `absent_after` ticks in a row is vacant.
-    pub(super) fn note_answers(&mut self, asked: u64, answered: u64, absent_after: u32) {
-        for agent in (0..limits::AGENTS).filter(|agent| asked >> agent & 1 == 1) {
-            if answered >> agent & 1 == 1 {
+    /// Frees a seat if `process` holds it: the goodbye of an earlier holder may come late.
+    pub(super) fn leave(&mut self, agent: usize, process: u32) {
+        if self.owners.get(agent) == Some(&process) {
+            self.joined &= !(1 << agent);
+        }
+    }
+
+    /// After a tick: of the agents that exist, those for which nobody acted are silent. One that is silent for
+    /// `absent_after` ticks in a row is absent, and its seat vacant, until another process takes it or somebody acts.
+    pub(super) fn note_answers(&mut self, present: u64, acted: u64, absent_after: u32) {
+        for agent in (0..limits::AGENTS).filter(|agent| present >> agent & 1 == 1) {
+            if acted >> agent & 1 == 1 {
                 self.hear(agent);
+                self.set_absent(agent, false);
             } else if let Some(silent) = self.silent.get_mut(agent) {
                 *silent = silent.saturating_add(1);
                 if *silent >= absent_after {
-                    self.vacate(agent);
+                    self.joined &= !(1 << agent);
+                    self.set_absent(agent, true);
                 }
             }
         }
@@ -165,11 +205,43 @@ mod tests {
         }
         assert_eq!((seats.joined(), seats.take_changed()), (0b11, false));
         seats.note_answers(0b1, 0, 3);
-        assert_eq!((seats.joined(), seats.take_changed()), (0b10, true));
-        // It is heard of again.
+        assert_eq!((seats.joined(), seats.absent(), seats.take_changed()), (0b10, 0b1, true));
+        // It is heard of again, and acts again.
         seats.note(&status(Role::Runner, 5, 0));
         seats.note_answers(0b1, 0, 3);
-        assert_eq!((seats.joined(), seats.take_changed()), (0b11, true));
+        assert_eq!((seats.joined(), seats.absent(), seats.take_changed()), (0b11, 0b1, true));
+        seats.note_answers(0b1, 0b1, 3);
+        assert_eq!((seats.absent(), seats.take_changed()), (0, true));
+        seats.note_answers(0b1, 0b1, 3);
+        assert!(!seats.take_changed());
+        // Another process is counted on at once.
+        (0..3).for_each(|_| seats.note_answers(0b1, 0, 3));
+        assert_eq!((seats.absent(), seats.take_changed()), (0b1, true));
+        seats.note(&status(Role::Runner, 6, 0));
+        assert_eq!((seats.joined(), seats.absent(), seats.take_changed()), (0b11, 0, true));
+    }
+
+    #[test]
+    fn whoever_leaves_is_absent_as_late_as_whoever_falls_silent() {
+        let mut seats = Seats::default();
+        for (pid, absent) in [(5, [0, 0, 0b1]), (6, [0; 3])] {
+            seats.note(&status(Role::Runner, pid, 0));
+            seats.leave(0, pid);
+            let answered = if pid == 5 { [0; 3] } else { [0, 0b1, 0] };
+            for (answered, absent) in answered.into_iter().zip(absent) {
+                seats.note_answers(0b1, answered, 3);
+                assert_eq!((seats.absent(), seats.joined()), (absent, 0b10), "process {pid}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_agent_that_is_absent_from_the_beginning_is_so_until_somebody_acts_for_it() {
+        let mut seats = Seats::without(0b10);
+        seats.note_answers(0b11, 0b01, 3);
+        assert_eq!((seats.absent(), seats.take_changed()), (0b10, false));
+        seats.note_answers(0b11, 0b11, 3);
+        assert_eq!((seats.absent(), seats.take_changed()), (0, true));
     }
 
     #[test]

@@ -19,7 +19,7 @@ pub(crate) const RECOVERY_NS: u64 = 300 * MILLISECOND;
 const TAKEOVER_NS: u64 = 10 * MILLISECOND;
 /// How much later than its deadline a tick may end.
 const LATENESS_NS: u64 = MILLISECOND;
-/// Ticks in a row for which a silent agent is waited for: three, and three more each time that a process
+/// Ticks in a row after which a silent agent is absent: three, and three more each time that a process
 /// for its seat is heard of meanwhile.
 const SILENT_TICKS: u32 = 10;
 /// Ticks that are remembered.
@@ -32,7 +32,7 @@ pub(crate) enum Invariant {
     TicksInTime,
     /// In every tick, every agent that is present gets an action that is available, and nobody else does.
     EveryAgentActs,
-    /// An agent that is silent is not waited for in tick after tick.
+    /// An agent that is silent in tick after tick is absent, and nobody else is.
     SilenceIsNoticed,
     /// What the world takes for an answer is one, given to this frame.
     AnswersAreGiven,
@@ -42,7 +42,7 @@ pub(crate) enum Invariant {
     NoOldTerm,
     /// Nobody answers anything but the newest frame seen.
     NoOldFrame,
-    /// Only agents that are present are allocated, and only to open subtasks.
+    /// Only agents that are present, and not absent, are allocated, and only to open subtasks.
     Feasible,
     /// Allocations come from the holder of the lock only, in rising order.
     OneLeader,
@@ -129,7 +129,7 @@ pub(crate) struct Oracle {
     newest_order: (u32, u32),
     readers: BTreeMap<u32, Reader>,
     leader: Option<Leader>,
-    /// Ticks in a row that each agent was waited for in vain.
+    /// Ticks in a row in which nobody acted for each agent.
     silent: Vec<u32>,
     calm_since_ns: u64,
     /// The world runs, undisturbed, since then.
@@ -201,6 +201,8 @@ impl Oracle {
 
     pub(crate) fn world_is_gone(&mut self) {
         self.world_since_ns = None;
+        // The next one knows nobody.
+        self.silent.fill(0);
     }
 
     /// A process acquired the allocator's lock.
@@ -307,7 +309,7 @@ impl Oracle {
         let view = self.view(frame)?;
         (0..self.setup.agents).find_map(|agent| {
             let task = allocation.task_of(agent)?;
-            if !view.present().contains(agent) {
+            if !view.allocation_state().present.contains(agent) {
                 return Some(format!("agent {agent}, which is absent, is given subtask {task}"));
             }
             let is_open = view.open_tasks() >> task & 1 == 1;
@@ -458,7 +460,7 @@ impl Oracle {
                 .wrong_action(report, &view, agent)
                 .or_else(|| self.ungiven(report, agent))
                 .or_else(|| self.unrecovered(report, &view, agent).filter(|_| is_calm))
-                .or_else(|| self.waited_for_silent(report, &view, agent));
+                .or_else(|| self.wrongly_absent(report, &view, agent));
             self.count(report, &view, agent);
             if let Some((invariant, detail)) = fault {
                 self.violate(invariant, now_ns, format!("{}, agent {agent}: {detail}", Tick(tick)));
@@ -507,22 +509,29 @@ impl Oracle {
         (!is_right).then(|| (Invariant::AnswersAreGiven, format!("{answer:?} is applied")))
     }
 
-    fn waited_for_silent(
+    fn wrongly_absent(
         &mut self,
         report: &TickReport<'_>,
         view: &FrameView<'_>,
         agent: usize,
     ) -> Option<(Invariant, String)> {
-        let is_joined = view.joined() >> agent & 1 == 1;
-        let silent = &mut self.silent[agent];
-        if !is_joined || report.answered >> agent & 1 == 1 {
-            *silent = 0;
+        let is_absent = view.absent() >> agent & 1 == 1;
+        let before = self.silent[agent];
+        if report.answered >> agent & 1 == 1 {
+            self.silent[agent] = 0;
         } else if view.present().contains(agent) {
-            *silent += 1;
+            self.silent[agent] += 1;
         }
-        let is_waited_for = *silent > SILENT_TICKS && self.setup.weather != Weather::Hostile;
-        let detail = || (Invariant::SilenceIsNoticed, format!("is silent for {silent} ticks"));
-        is_waited_for.then(detail)
+        if is_absent {
+            // Another process that takes the place is counted on at once, and may be silent as well.
+            self.silent[agent] = self.silent[agent].min(3);
+        }
+        let is_wrong = if is_absent { before < 3 } else { before > SILENT_TICKS };
+        let detail = || {
+            let word = if is_absent { "absent" } else { "counted on" };
+            (Invariant::SilenceIsNoticed, format!("is {word} after {before} silent ticks"))
+        };
+        (is_wrong && self.setup.weather != Weather::Hostile).then(detail)
     }
 
     fn unrecovered(

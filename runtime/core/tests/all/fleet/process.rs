@@ -176,6 +176,7 @@ pub(crate) fn world_options(setup: &Setup, term: u32) -> WorldOptions {
         period_ns: setup.period_ns,
         patience_ns: setup.patience_ns,
         absent_after: 3,
+        absent: 0,
         decision_interval: setup.decision_interval,
         safe_action: Some(toy::SAFE),
         episodes: None,

@@ -1,9 +1,10 @@
 //! Who acts for which agent, and who allocates.
 
 use sortie_core::roles::{Poll, WorldError};
-use sortie_core::wire::{ActionMsg, Role, StatMsg};
+use sortie_core::wire::{ActionMsg, FrameView, Role, StatMsg};
+use zerocopy::IntoBytes;
 
-use super::stage::{ALLOCATOR, RUNNERS, START, Stage, WORLD, wait};
+use super::stage::{ALLOCATOR, RUNNERS, START, Stage, TERM, WORLD, format, wait};
 
 #[test]
 fn a_world_acts_for_seats_that_are_free_when_a_tick_begins() {
@@ -51,6 +52,71 @@ fn an_agent_keeps_its_seat_unless_it_is_silent_for_three_ticks_in_a_row() {
     assert_eq!(stage.role.joined(), 0b11);
     stage.tick(&[stage.answer(0)]);
     assert_eq!(stage.role.joined(), 0b01);
+}
+
+#[test]
+fn an_agent_is_absent_after_three_silent_ticks_until_its_place_is_taken() {
+    let mut stage = Stage::acting(|options| options.decision_interval = u32::MAX);
+    let goodbye = ActionMsg { flags: ActionMsg::BYE, ..stage.answer(1) };
+    stage.table.actions.push(goodbye);
+    for _ in 0..5 {
+        stage.tick(&[stage.answer(0)]);
+    }
+    assert_eq!((stage.role.absent(), stage.role.joined()), (0b10, 0b01));
+    assert_eq!([0, 1].map(|agent| stage.role.absent_since(agent)), [None, Some(TERM + 3)]);
+    stage.tell(Role::Runner, 40, 0b10, StatMsg::HELLO);
+    for agents in [1, 2, 2, 2] {
+        let answers = [stage.answer(0), ActionMsg { runner: 40, ..stage.answer(1) }];
+        stage.tick(&answers[..agents]);
+    }
+    assert_eq!(stage.watch.absent, [0, 0, 0, 0b10, 0b10, 0b10, 0, 0, 0]);
+    // At the beginning, without the one that left, and once its place is taken.
+    assert_eq!(stage.asked(), [1, 4, 7]);
+}
+
+#[test]
+fn whoever_comes_back_before_three_silent_ticks_was_never_absent() {
+    let mut stage = Stage::acting(|options| options.decision_interval = u32::MAX);
+    for [pid, next] in [[RUNNERS[1], 40], [40, 41], [41, 42]] {
+        let goodbye = ActionMsg { flags: ActionMsg::BYE, runner: pid, ..stage.answer(1) };
+        stage.table.actions.push(goodbye);
+        stage.tick(&[stage.answer(0)]);
+        stage.tell(Role::Runner, next, 0b10, StatMsg::HELLO);
+        stage.tick(&[stage.answer(0)]);
+        stage.tick(&[stage.answer(0), ActionMsg { runner: next, ..stage.answer(1) }]);
+    }
+    assert_eq!((stage.role.absent(), &stage.watch.absent[..]), (0, &[0; 9][..]));
+}
+
+#[test]
+fn an_agent_may_be_absent_from_the_beginning_and_is_not_waited_for() {
+    let mut stage = Stage::new(|options| options.absent = 0b110);
+    stage.poll().unwrap();
+    stage.join(0b01, true);
+    while stage.role.tick() == TERM {
+        assert_eq!(stage.poll(), Ok(Poll::Again));
+    }
+    let frame = FrameView::new(
+        stage.table.frames.last().unwrap(),
+        stage.table.payload.as_slice().as_bytes(),
+        &format(),
+    );
+    assert_eq!(frame.unwrap().absent(), 0b10, "there is no agent 2");
+}
+
+#[test]
+fn a_world_that_fills_seats_has_nobody_absent() {
+    let mut stage = Stage::new(|options| options.absent = 0b10);
+    stage.role.fill_free_seats();
+    stage.poll().unwrap();
+    stage.join(0b01, true);
+    while stage.poll() == Ok(Poll::Again) {}
+    for _ in 0..8 {
+        // A runner that is silent, and a filled seat whose answer is late.
+        stage.tick(&[]);
+    }
+    assert_eq!((stage.role.filled(), stage.role.absent()), (0b11, 0));
+    assert_eq!(stage.watch.absent, [0; 8]);
 }
 
 #[test]

@@ -137,6 +137,7 @@ pub(crate) struct Watch {
     pub(crate) degraded: Vec<bool>,
     /// Ticks of the allocations that are reported.
     pub(crate) allocated: Vec<Option<u64>>,
+    pub(crate) absent: Vec<u64>,
     pub(crate) ended: Vec<(u32, u32)>,
     pub(crate) timings: Vec<Timing>,
 }
@@ -148,6 +149,7 @@ impl WorldObserver for Watch {
         self.degraded.push(report.degraded);
         self.timings.push(report.timing);
         self.allocated.push(report.allocation.map(|allocation| allocation.tick));
+        self.absent.push(report.absent);
     }
 
     fn episode_ended(&mut self, episode: u32, steps: u32) {
@@ -164,9 +166,8 @@ pub(crate) struct Stage {
 
 impl Stage {
     pub(crate) fn new(change: impl FnOnce(&mut WorldOptions)) -> Self {
-        let layout = FrameLayout::new(SHAPE).unwrap();
         let mut options = WorldOptions {
-            format: FrameFormat { schema: SCHEMA, layout },
+            format: format(),
             identity: Identity::new(WORLD, "world"),
             term: 7,
             required: 0b11,
@@ -177,6 +178,7 @@ impl Stage {
             period_ns: PERIOD,
             patience_ns: 0,
             absent_after: 3,
+            absent: 0,
             decision_interval: 4,
             safe_action: Some(0),
             episodes: None,
@@ -185,7 +187,7 @@ impl Stage {
         change(&mut options);
         let table = Table {
             now_ns: START,
-            payload: vec![FrameBlock::zeroed(); layout.payload_bytes() / 64],
+            payload: vec![FrameBlock::zeroed(); format().layout.payload_bytes() / 64],
             frames: Vec::new(),
             told: Vec::new(),
             rings: Vec::new(),
@@ -244,7 +246,7 @@ impl Stage {
 
     pub(crate) fn tell(&mut self, role: Role, pid: u32, agents: u64, flags: u32) {
         let (schema, role) = (SCHEMA, role as u8);
-        let status = StatMsg { schema, abi: 1, role, pid, agents, flags, ..StatMsg::new_zeroed() };
+        let status = StatMsg { schema, abi: 2, role, pid, agents, flags, ..StatMsg::new_zeroed() };
         self.table.statuses.push(status);
     }
 
@@ -261,7 +263,7 @@ impl Stage {
     pub(crate) fn answer(&self, agent: u16) -> ActionMsg {
         let runner = RUNNERS[usize::from(agent)];
         let (tick, t_ns) = (self.role.tick(), self.table.now_ns);
-        ActionMsg { schema: SCHEMA, abi: 1, tick, t_ns, agent, runner, ..ActionMsg::new_zeroed() }
+        ActionMsg { schema: SCHEMA, abi: 2, tick, t_ns, agent, runner, ..ActionMsg::new_zeroed() }
     }
 
     pub(crate) fn allocate(&mut self, epoch: u32) {
@@ -269,7 +271,7 @@ impl Stage {
         let valid_until = tick + 4;
         let allocation = AllocMsg {
             schema: SCHEMA,
-            abi: 1,
+            abi: 2,
             tick,
             valid_until,
             term: 1,
@@ -297,6 +299,10 @@ impl Stage {
         let counters = self.role.counters();
         [counters.schema_rejects, counters.bad_messages, counters.late]
     }
+}
+
+pub(crate) fn format() -> FrameFormat {
+    FrameFormat { schema: SCHEMA, layout: FrameLayout::new(SHAPE).unwrap() }
 }
 
 pub(crate) fn wait(until_ns: u64) -> Result<Poll, WorldError> {

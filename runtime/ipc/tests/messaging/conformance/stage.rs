@@ -4,7 +4,7 @@ use std::borrow::BorrowMut;
 
 use sortie_core::link::{ActionRx, AllocTx, Clock, FrameTx, LinkError};
 use sortie_core::roles::{Identity, Poll, RunnerOptions, RunnerRole};
-use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, FrameKind, FrameMut};
+use sortie_core::wire::{ABI, ActionMsg, AllocMsg, FrameHeader, FrameKind, FrameMut};
 use sortie_core::{DecideError, Decision, EntityMask, Observation, Policy, UNASSIGNED};
 
 use super::Transport;
@@ -24,6 +24,7 @@ pub(super) struct Sent {
     pub(super) step: u32,
     pub(super) decision_tick: u64,
     pub(super) present: u64,
+    pub(super) absent: u64,
     pub(super) flags: u32,
     pub(super) kind: FrameKind,
     pub(super) patience: u64,
@@ -36,6 +37,7 @@ pub(super) fn frame(count: u64) -> Sent {
         step: count as u32,
         decision_tick: 0,
         present: 0b11_1111,
+        absent: 0,
         flags: 0,
         kind: FrameKind::World,
         patience: LONG,
@@ -51,7 +53,7 @@ impl Sent {
         let now = link.now_ns();
         let header = FrameHeader {
             magic: FrameHeader::MAGIC,
-            abi: self.header.abi + 1,
+            abi: self.header.abi + ABI,
             kind: self.kind as u16,
             schema: self.header.schema ^ format.schema,
             seq: self.tick,
@@ -67,7 +69,7 @@ impl Sent {
             let mut frame = FrameMut::new(payload, format.layout).map_err(LinkError::Frame)?;
             frame.set_present(&EntityMask::from_words(&[self.present]));
             frame.set_open_tasks(0b11);
-            frame.set_progress(self.step, self.decision_tick, ALL);
+            frame.set_progress(self.step, self.decision_tick, self.absent);
             for agent in 0..SHAPE.agents {
                 frame.set_observable(agent, &EntityMask::first(SHAPE.entities));
                 frame.available_mut(agent)[1..].fill(1);
@@ -169,7 +171,7 @@ pub(super) fn allocation<T: Transport>(team: &T, count: u64, term: u32, epoch: u
         decide_ns: 0,
         n_agents: SHAPE.agents as u16,
         n_tasks: SHAPE.tasks as u8,
-        abi: 1,
+        abi: 2,
         flags: 0,
         task,
     }

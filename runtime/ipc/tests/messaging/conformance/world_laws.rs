@@ -9,7 +9,7 @@ use sortie_core::roles::{
     WorldOptions, WorldRole,
 };
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat};
-use sortie_core::{NO_ACTION, UNASSIGNED, World};
+use sortie_core::{AllocateError, AllocationState, Allocator, NO_ACTION, UNASSIGNED, World};
 
 use super::Transport;
 use super::stage::*;
@@ -31,7 +31,7 @@ pub(super) fn foreign_messages_are_dropped<T: Transport>() {
     // A link may let a newer message overtake, but never one that nobody took.
     assert!((2..=3).contains(&role.counters().schema_rejects), "{:?}", role.counters());
     let good = answer(&team, 0, 1);
-    for foreign in [ActionMsg { schema: 1, ..good }, ActionMsg { abi: 2, ..good }] {
+    for foreign in [ActionMsg { schema: 1, ..good }, ActionMsg { abi: 1, ..good }] {
         team.agent(0).borrow_mut().send_action(&foreign).unwrap();
     }
     step(&mut team, &mut world);
@@ -66,6 +66,7 @@ fn options(required: u64, patience_ns: u64) -> impl Fn(FrameFormat) -> WorldOpti
         pipelined: false,
         period_ns: 0,
         absent_after: 3,
+        absent: 0,
         join_patience_ns: LONG,
         patience_ns,
         decision_interval: 4,
@@ -121,7 +122,7 @@ fn answer<T: Transport>(team: &T, agent: u16, action: u16) -> ActionMsg {
         action,
         flags: 0,
         task: UNASSIGNED,
-        abi: 1,
+        abi: 2,
         q: 0.0,
         decide_ns: 0,
         alloc_term: 0,
@@ -220,6 +221,64 @@ pub(super) fn nobody_acts_for_a_free_seat_but_the_fallback<T: Transport>() {
     // Nothing to repeat: the safe action, 1.
     assert_eq!(step(&mut team, &mut world).ticks, [(0, vec![1, 1, 1], 0b011)]);
     assert_eq!(world.counters().fallbacks, 1);
+}
+
+/// Gives everybody the first subtask.
+struct First;
+
+impl Allocator for First {
+    fn allocate(&mut self, _: &AllocationState<'_>, tasks: &mut [u8]) -> Result<(), AllocateError> {
+        tasks.fill(0);
+        Ok(())
+    }
+}
+
+/// Notes the subtasks of allocations.
+#[derive(Default)]
+struct Allocations(Vec<Vec<u8>>);
+
+impl WorldObserver for Allocations {
+    fn allocated(&mut self, allocation: &AllocMsg) {
+        self.0.push(allocation.task[..SHAPE.agents].to_vec());
+    }
+}
+
+pub(super) fn a_silent_agent_is_left_out_of_allocations_until_it_acts_again<T: Transport>() {
+    let mut team = T::new();
+    let mut allocator = AllocatorRole::new(AllocatorOptions {
+        format: team.format(),
+        identity: Identity::new(200, "allocator"),
+        decision_interval: 100,
+    });
+    drop(team.world());
+    allocator.lead(1);
+    allocator.join(team.allocator(0).borrow_mut()).unwrap();
+    let mut world = joined_world(&mut team, |format| WorldOptions {
+        allocator: true,
+        strict: false,
+        decision_interval: 100,
+        ..options(0, OVER)(format)
+    });
+    let mut seen = Allocations::default();
+    // Agent 2 is silent for five ticks, takes its seat again, and acts.
+    for acting in [2, 2, 2, 2, 2, 3, 3, 3] {
+        allocator.poll(team.allocator(0).borrow_mut(), &mut First).unwrap();
+        let tick = world.tick();
+        for agent in 0..acting {
+            let answer = ActionMsg { tick, ..answer(&team, agent, 1) };
+            send(&mut team, answer);
+        }
+        if acting == 3 && world.joined() != ALL {
+            let mut back = runner(&mut team, 2, 0b100, false);
+            back.join(team.agent(2).borrow_mut()).unwrap();
+        }
+        while world.tick() == tick {
+            world.poll(team.world().borrow_mut(), &mut toy_world(), &mut seen).unwrap();
+        }
+    }
+    let (all, two) = (vec![0; 3], vec![0, 0, UNASSIGNED]);
+    // At first, without agent 2, as its seat is taken, and as it acts.
+    assert_eq!(seen.0, [all.clone(), two.clone(), two, all]);
 }
 
 pub(super) fn late_and_impossible_actions_are_counted_not_applied<T: Transport>() {

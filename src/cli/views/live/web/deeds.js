@@ -106,10 +106,12 @@ function createDeeds() {
   byId("another").addEventListener("click", () => openEpisode(seed, number + 1));
 
   return function showDeeds(view) {
-    const { dead } = episode.states[view.at];
+    const { dead, absent = [] } = episode.states[view.at];
     for (const element of document.querySelectorAll("#map [data-entity]")) {
       element.classList.toggle("dead", dead.includes(Number(element.dataset.entity)));
     }
+    const left = absent.map(([agent, since]) => `${episode.agents[agent].name} since step ${since}`);
+    byId("absent").textContent = left.length ? `Absent, left out of allocations: ${left.join(", ")}.` : "";
     const isDead = episode.states[LAST].dead.includes(view.agent);
     byId("kill").textContent = `${isDead ? "Revive" : "Kill"} ${episode.agents[view.agent].name}`;
     byId("kill").disabled = !isRunning();

@@ -8,7 +8,13 @@ function actionOf(at, agent) {
 /** What is told of an agent that does nothing. */
 function idle(state, agent) {
   return state.dead?.includes(agent)
-    ? "no process acts for it: the world repeats its last action, or has it stay"
+    ? `no process acts for it: the world repeats its last action, or has it stay${absence(state, agent)}`
     : "the episode is over";
+}
+
+/** Since when an agent is left out of allocations, where it is. */
+function absence(state, agent) {
+  const since = state.absent?.find(([absent]) => absent === agent)?.[1];
+  return since === undefined ? "" : `; absent since step ${since}`;
 }
 

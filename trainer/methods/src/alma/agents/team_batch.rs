@@ -315,6 +315,7 @@ mod tests {
             entities: present,
             rows,
             present,
+            absent: 0,
             observable: vec![present; 4],
             entity_task: vec![0, 0, 0, 0, 0b01, 0b10],
             available: vec![1; 4],

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::random::{below, chance, member, unit};
-use sortie_envs::{DecisionPoints, Observation, Spec, UNASSIGNED};
+use sortie_envs::{DecisionPoints, Observation, Spec, UNASSIGNED, members};
 use sortie_nn::random::Generator;
 
 use super::config::AllocationConfig;
@@ -164,7 +164,7 @@ fn move_some(
     allocation: &mut [u8],
 ) {
     let open = seen.open_tasks;
-    for agent in 0..seen.agents() {
+    for agent in members(seen.acting().into()) {
         if chance(generator, share)
             && open != 0
             && let Some(task) = member(generator, open.into())

@@ -238,12 +238,14 @@ pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAll
     environment.observe(state, 0, EntitySet::MAX, &mut seen);
     let mut rows = Vec::new();
     seen.rows.write_all(features, &mut rows);
+    let mut present = EntityMask::first(seen.rows.len());
+    members(seen.absent.into()).for_each(|agent| present.remove(agent));
     OwnedAllocationState {
         agents: seen.agents(),
         tasks: seen.tasks(),
         rows,
         features,
-        present: EntityMask::first(seen.rows.len()),
+        present,
         entity_task: members(seen.present).map(|entity| seen.entity_task[entity]).collect(),
         open_tasks: seen.open_tasks,
     }

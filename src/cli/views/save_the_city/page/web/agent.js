@@ -32,13 +32,15 @@ function agentText(view, state) {
   const action = actionOf(view.at, view.agent);
   const isDead = state.dead?.includes(view.agent);
   if (action === undefined) {
-    return isDead ? "No process acts for it: the world repeats its last action, or has it stay." : "The episode is over.";
+    return isDead
+      ? `No process acts for it: the world repeats its last action, or has it stay${absence(state, view.agent)}.`
+      : "The episode is over.";
   }
   const where = task === null ? "unassigned" : `assigned to ${episode.buildings[task].name}`;
   const bounced = episode.steps[view.at]?.bounced.includes(view.agent)
     ? ", but runs into another and goes back"
     : isDead
-      ? ", which the world repeats: its process is dead"
+      ? `, which the world repeats: its process is dead${absence(state, view.agent)}`
       : "";
   return `${where}, action: ${episode.actions[action]}${bounced}`;
 }

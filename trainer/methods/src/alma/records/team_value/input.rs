@@ -101,7 +101,7 @@ impl TeamValueInput {
             self.push_own(columns, own);
             self.input.visible.push(index);
             let first = self.others.len();
-            for agent in 0..self.seen.agents() {
+            for agent in members(self.seen.acting().into()) {
                 self.push_agent(columns, agent, team >> agent & 1 == 1);
             }
             self.push_others(columns, own);
@@ -113,14 +113,16 @@ impl TeamValueInput {
         &self.input
     }
 
-    /// Writes every team at every open subtask: `[open subtasks, 2^A]` queries.
+    /// Writes every team of the acting agents at every open subtask: `[open subtasks, 2^A]` queries. Bit i of a team stands
+    /// for the i-th of them.
     ///
     /// The teams at a subtask share its other rows: each agent once as member and once not.
     pub fn all_teams(&mut self, environment: &dyn Environment, state: &[u8]) -> &UtilityInput {
         self.clear();
         let columns = TeamColumns::of(environment.spec());
         environment.observe(state, 0, EntitySet::MAX, &mut self.seen);
-        let agents = self.seen.agents();
+        let acting = members(self.seen.acting().into());
+        let agents = acting.clone().count();
         let (teams, open) = (0..1_usize << agents, self.seen.open_tasks);
         let count = open.count_ones() as usize * teams.len();
         for (place, task) in members(open.into()).enumerate() {
@@ -128,7 +130,7 @@ impl TeamValueInput {
             let own = self.own(task);
             teams.clone().for_each(|_| self.push_own(columns, own));
             let first = count + self.others.len();
-            for agent in 0..agents {
+            for agent in acting.clone() {
                 self.push_agent(columns, agent, false);
                 self.push_agent(columns, agent, true);
             }

@@ -14,7 +14,7 @@ mod input;
 mod loss;
 
 use sortie_core::allocate::{EXACT_AGENTS, TeamValue, Teams, ascent, exact};
-use sortie_envs::{Environment, Observation, UNASSIGNED};
+use sortie_envs::{Environment, Observation, UNASSIGNED, members};
 use sortie_learn::LearnError;
 use sortie_nn::random::Generator;
 
@@ -66,19 +66,24 @@ impl TeamSearch {
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
         environment.observe(state, 0, 0, &mut self.seen);
-        let (agents, open_tasks) = (self.seen.agents(), self.seen.open_tasks);
+        let acting: Vec<usize> = members(self.seen.acting().into()).collect();
+        let (agents, open_tasks) = (acting.len(), self.seen.open_tasks);
         let teams = Teams { agents, open_tasks, team_max: self.team_max };
-        allocation.fill(UNASSIGNED);
+        let mut own = vec![UNASSIGNED; agents];
         let found = if agents <= EXACT_AGENTS {
             let values = self.pass.forward(network, self.input.all_teams(environment, state));
             self.arena.resize(values.len(), exact::Cell::default());
-            exact::search(teams, values, &mut self.arena, &mut allocation[..agents]).map(drop)
+            exact::search(teams, values, &mut self.arena, &mut own).map(drop)
         } else {
             environment.allocate(0, state, generator, allocation);
+            own.iter_mut().zip(&acting).for_each(|(own, agent)| *own = allocation[*agent]);
             let Self { pass, input, .. } = self;
-            let mut values = NetworkValue { network, environment, state, pass, input };
-            ascent::search(teams, &mut values, SWEEPS, &mut allocation[..agents]).map(drop)
+            let acting = &acting;
+            let mut values = NetworkValue { network, environment, state, acting, pass, input };
+            ascent::search(teams, &mut values, SWEEPS, &mut own).map(drop)
         };
+        allocation.fill(UNASSIGNED);
+        acting.iter().zip(own).for_each(|(agent, own)| allocation[*agent] = own);
         found.map_err(|error| LearnError::Team(error.to_string()))
     }
 }
@@ -88,6 +93,8 @@ struct NetworkValue<'a> {
     network: &'a UtilityNetwork,
     environment: &'a dyn Environment,
     state: &'a [u8],
+    /// The agents that the bits of a team stand for.
+    acting: &'a [usize],
     pass: &'a mut UtilityPass,
     input: &'a mut TeamValueInput,
 }
@@ -100,9 +107,11 @@ impl TeamValue for NetworkValue<'_> {
     }
 
     fn values(&mut self, questions: &[(usize, u64)], values: &mut [f32]) {
-        let Self { network, environment, state, pass, input } = self;
-        let query =
-            |(task, team): &(usize, u64)| TeamQuery { state, task: *task, team: *team, turn: 0 };
+        let Self { network, environment, state, acting, pass, input } = self;
+        let query = |(task, team): &(usize, u64)| {
+            let team = members((*team).into()).fold(0, |team, place| team | 1 << acting[place]);
+            TeamQuery { state, task: *task, team, turn: 0 }
+        };
         let input = input.queries(*environment, questions.iter().map(query));
         values.copy_from_slice(pass.forward(network, input));
     }
@@ -136,7 +145,7 @@ impl Allocate for TeamValueAllocator<'_> {
 
 #[cfg(test)]
 mod tests {
-    use sortie_envs::Split;
+    use sortie_envs::{EntitySet, Failing, Split};
     use sortie_learn::random::{Purpose, generator};
 
     use super::*;
@@ -180,6 +189,46 @@ mod tests {
                     assert!(assigned.iter().filter(|other| *other == task).count() <= 2);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn agents_that_have_failed_get_nothing_and_are_in_no_question() {
+        for (set, exact) in [("2-5a_2-5b", true), ("12a_12b", false)] {
+            let mut worlds = Failing::new(environment(set, 1), 0.3).open(1, Split::Train);
+            let network = network(&*worlds);
+            let (mut random, mut seen) =
+                (generator(5, Purpose::Rollout, 0), Observation::default());
+            let (mut state, mut failed) = (Vec::new(), 0);
+            let mut search = TeamSearch::new(network.shape(), 2);
+            let mut input = TeamValueInput::default();
+            for _ in 0..20 {
+                worlds.reset(0, &mut random);
+                let safe = vec![worlds.spec().safe_action.unwrap(); 64];
+                worlds.step(0, &safe, &mut random).unwrap();
+                state.clear();
+                worlds.save(0, &mut state);
+                worlds.observe(&state, 0, EntitySet::MAX, &mut seen);
+                let mut allocation = [7; 64];
+                let found =
+                    search.allocate(&network, &*worlds, &state, &mut random, &mut allocation);
+                found.unwrap();
+                for (agent, task) in allocation.into_iter().enumerate() {
+                    let is_open = task < 32 && seen.open_tasks >> task & 1 == 1;
+                    let acts = seen.acting() >> agent & 1 == 1;
+                    let is_right = if acts { is_open } else { task == UNASSIGNED };
+                    assert!(is_right, "agent {agent} of {:b}: {task}", seen.acting());
+                }
+                failed += seen.absent.count_ones();
+                // Each acting agent has a row in the team and one beside it, and nobody else has any.
+                if exact {
+                    let (agents, open) = (seen.acting().count_ones(), seen.open_tasks.count_ones());
+                    let things = open as usize - 1;
+                    let rows = open as usize * ((1 << agents) + 2 * agents as usize + things);
+                    assert_eq!(input.all_teams(&*worlds, &state).rows.len(), rows);
+                }
+            }
+            assert!(failed > 10, "{failed}");
         }
     }
 
