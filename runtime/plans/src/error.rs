@@ -138,8 +138,8 @@ pub enum CompileError {
     },
     /// Plan and file differ, and the file holds a number beyond what layers learn.
     #[error(
-        "plan and file differ, and the file multiplies or divides by {weight:e} (the constant `{constant}`): unless that is a \
-         mask's, the file is damaged ({error})"
+        "plan and file differ, and the file computes with {weight:e} (the constant `{constant}`): unless that is a mask's, the \
+         file is damaged ({error})"
     )]
     WildWeight {
         /// The constant.

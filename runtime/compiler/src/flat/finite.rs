@@ -78,14 +78,15 @@ pub(super) fn refuse(graph: &GraphProto) -> Result<(), CompileError> {
     }
 }
 
-/// The constant by which a file multiplies or divides so that numbers of 32 bits may end, and the number: layers have no such
-/// numbers, masks may have.
+/// The constant of a file that is larger than a layer's numbers, or by which it divides so that what it gives is, and the number:
+/// masks may hold such.
 pub(crate) fn wild_constant(file: &ModelProto) -> Option<(String, f32)> {
     let uses = file.graph.as_ref().map(uses).unwrap_or_default();
     uses.into_iter().find_map(|(constant, operator)| {
         let divides = operator == "Div" && constant.smallest < 1.0 / WILD;
+        let counts = ["Add", "Sub"].contains(&operator) || MULTIPLY.contains(&operator);
         let wild = if divides { constant.smallest } else { constant.largest };
-        let is_wild = MULTIPLY.contains(&operator) && (divides || constant.largest > WILD);
+        let is_wild = counts && (divides || constant.largest > WILD);
         is_wild.then(|| (constant.name.to_owned(), wild))
     })
 }

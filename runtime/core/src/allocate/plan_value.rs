@@ -8,7 +8,7 @@ use crate::plan::{Network, Plan, PlanError};
 use crate::policy::{DecideError, Observation};
 
 /// Teams that are worked on together.
-const TOGETHER: usize = 16;
+const TOGETHER: usize = 32;
 
 /// Columns between features and relation: own flag and team flag.
 const FLAGS: usize = 2;

@@ -42,7 +42,7 @@ impl AttendOwn {
         weights: &[f32],
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
-        let count = rows_seen(&team.members);
+        let count = rows_seen(team.members);
         let (matrix, around) = (self.query.matrix(weights)?, self.query.around(weights, false)?);
         let width = usize::from(self.width);
         // One member asks for all.

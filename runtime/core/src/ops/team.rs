@@ -9,7 +9,7 @@ use crate::limits;
 use crate::policy::Observation;
 
 /// Most agents that are worked on together; more are cut into several teams.
-pub(crate) const TEAM: usize = 16;
+pub(crate) const TEAM: usize = 32;
 
 /// One agent of a team.
 #[derive(Debug, Default)]
@@ -56,8 +56,8 @@ pub(crate) struct Team<'a> {
     pub(crate) shared: &'a mut [f32],
     /// Marks the inputs of a sparse product.
     pub(crate) nonzeros: &'a mut [Marks],
-    /// The members.
-    pub(crate) members: Vec<Member, TEAM>,
+    /// The members, borrowed: they are large, and to move them would copy room for a whole team.
+    pub(crate) members: &'a mut [Member],
 }
 
 /// Inputs and outputs of the members that a product is for.

@@ -109,14 +109,15 @@ impl<S: OperatorSet> Plan<'_, S> {
             let refused = DecideError::HiddenState { want, got };
             return (0..asked.observations.len()).for_each(|index| answer(index, Err(refused)));
         }
+        let (mut members, mut alone) = (Vec::new(), Vec::<usize, TEAM>::new());
         let mut next = 0;
         while next < asked.observations.len() {
-            let members = self.team(asked.arena.len(), asked.observations, next);
+            self.gather(&mut members, asked.arena.len(), asked.observations, next);
             let count = members.len().max(1);
-            let mut alone: Vec<usize, TEAM> = Vec::new();
+            alone.clear();
             // Who shares nothing and has no company is faster alone.
             if (count == 1 && asked.shared.is_empty())
-                || self.run_team(&mut asked, members, &mut alone, answer).is_err()
+                || self.run_team(&mut asked, &mut members, &mut alone, answer).is_err()
             {
                 alone.clear();
                 // There is room for every member.
@@ -134,14 +135,15 @@ impl<S: OperatorSet> Plan<'_, S> {
         }
     }
 
-    /// The agents from `next` on that can be worked on together.
-    fn team(
+    /// Gathers the agents from `next` on that can be worked on together.
+    fn gather(
         &self,
+        members: &mut Vec<Member, TEAM>,
         arena_bytes: usize,
         observations: &[Observation<'_>],
         next: usize,
-    ) -> Vec<Member, TEAM> {
-        let mut members = Vec::new();
+    ) {
+        members.clear();
         let spare = arena_bytes.saturating_sub(self.arena_bytes());
         let further = spare.checked_div(self.arena_bytes_per_agent()).unwrap_or(0);
         let n_max = self.header.n_max as usize;
@@ -159,14 +161,13 @@ impl<S: OperatorSet> Plan<'_, S> {
                 break;
             }
         }
-        members
     }
 
     /// Works for a team; who is to be asked alone afterwards is added to `alone`.
     fn run_team(
         &self,
         asked: &mut Asked<'_>,
-        members: Vec<Member, TEAM>,
+        members: &mut [Member],
         alone: &mut Vec<usize, TEAM>,
         answer: &mut dyn FnMut(usize, Computed<'_>),
     ) -> Result<(), DecideError> {
