@@ -197,12 +197,18 @@ impl Kept {
 /// Questions that a leader may leave unanswered.
 const PATIENCE: u32 = 5;
 
+/// How long it may do so, however fast they come: whoever loads another model stands still, and on a busy machine not for
+/// milliseconds.
+const STANDSTILL: Duration = Duration::from_secs(1);
+
 /// Counts the allocations asked for since the last one that came.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Vigil {
     answered: u64,
     asked: u64,
     missed: u32,
+    /// When the first of the missed ones was asked for.
+    since: Option<Instant>,
 }
 
 impl Vigil {
@@ -211,20 +217,25 @@ impl Vigil {
         if tick > self.answered {
             self.answered = tick;
             self.missed = 0;
+            self.since = None;
         }
     }
 
     /// The newest tick that asked for an allocation. Some may have passed unseen: it counts too few.
-    pub(super) fn asked(&mut self, decision_tick: u64) {
+    pub(super) fn asked(&mut self, decision_tick: u64, now: Instant) {
         if decision_tick > self.asked {
             self.asked = decision_tick;
-            self.missed += u32::from(decision_tick > self.answered);
+            if decision_tick > self.answered {
+                self.missed += 1;
+                self.since.get_or_insert(now);
+            }
         }
     }
 
     /// Whether a leader has had its chances.
-    pub(super) fn is_silent(&self) -> bool {
-        self.missed >= PATIENCE
+    pub(super) fn is_silent(&self, now: Instant) -> bool {
+        let silence = self.since.map(|since| now.saturating_duration_since(since));
+        self.missed >= PATIENCE && silence.is_some_and(|silence| silence >= STANDSTILL)
     }
 }
 
@@ -294,21 +305,22 @@ mod tests {
     }
 
     #[test]
-    fn a_leader_is_silent_after_five_questions_without_an_answer() {
-        let mut vigil = Vigil::default();
+    fn a_leader_is_silent_after_five_questions_and_a_second_without_an_answer() {
+        let (mut vigil, start) = (Vigil::default(), Instant::now());
+        let at = |millis| start + Duration::from_millis(millis);
         for tick in [4, 8, 12, 12, 12, 16] {
-            vigil.asked(tick);
+            vigil.asked(tick, start);
         }
-        assert!(!vigil.is_silent());
+        assert!(!vigil.is_silent(at(5_000)), "four questions");
         vigil.answered(12);
         for tick in [20, 24, 28, 32] {
-            vigil.asked(tick);
+            vigil.asked(tick, at(6_000));
             vigil.answered(12);
         }
-        assert!(!vigil.is_silent());
-        vigil.asked(36);
-        assert!(vigil.is_silent());
+        assert!(!vigil.is_silent(at(9_000)));
+        vigil.asked(36, at(6_500));
+        assert_eq!([6_999, 7_000].map(|millis| vigil.is_silent(at(millis))), [false, true]);
         vigil.answered(36);
-        assert!(!vigil.is_silent());
+        assert!(!vigil.is_silent(at(9_000)));
     }
 }

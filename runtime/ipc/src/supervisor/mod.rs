@@ -294,12 +294,12 @@ impl Supervisor {
                 tell(&SupervisorEvent::Leads { name, pid: status.pid });
             }
         })?;
-        let vigil = &mut self.vigil;
+        let (vigil, now) = (&mut self.vigil, Instant::now());
         watcher.receive_allocations(&mut |allocation| vigil.answered(allocation.tick))?;
         if let Some(frame) = watcher.newest_frame()? {
-            vigil.asked(frame.decision_tick);
+            vigil.asked(frame.decision_tick, now);
         }
-        if vigil.is_silent()
+        if vigil.is_silent(now)
             && let Some(pid) = *leader
             && let Some(allocator) = kept.iter().find(|kept| kept.pid() == Some(pid))
         {
