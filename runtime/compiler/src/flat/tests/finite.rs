@@ -57,6 +57,16 @@ fn infinity_closes_actions_and_is_a_limit_that_is_none() {
 }
 
 #[test]
+fn infinity_that_is_taken_away_is_refused() {
+    for mean in [INFINITE, -INFINITE] {
+        let file = File::default().input("x", Float, &["1", "4"]).constant("mean", &[1], &[mean]);
+        let file = file.node("Sub", &["x", "mean"], "far").layer("far", [4, 2], "sum");
+        let error = compiled(&file.node("Tanh", &["sum"], "q").output("q")).unwrap_err();
+        assert!(matches!(error, CompileError::NonFiniteWeight { .. }), "{error}");
+    }
+}
+
+#[test]
 fn what_never_answers_is_not_proved() {
     let file = File::default().input("x", Float, &["1", "4"]).constant("zero", &[], &[0.0]);
     let file =
