@@ -79,7 +79,9 @@ struct HandedOver {
     kept_by_another: usize,
     /// It was finished or lost meanwhile, or its episode over.
     closed: usize,
-    /// It was left to nobody: others were worth more.
+    /// It was left to nobody, as every other agent worked alone on another open one: to hold it is to leave that one.
+    to_nobody_as_each_has_another: usize,
+    /// It was left to nobody, though some were together or without work: others were worth more.
     to_nobody: usize,
     /// The lost agent still had it, or anything else.
     to_the_lost: usize,
@@ -191,7 +193,7 @@ impl Playing<'_> {
             }
             step += 1;
             for job in &mut jobs {
-                job.follow(stage, self.cast.decision_interval);
+                job.follow(stage, self.team, self.cast.decision_interval);
             }
         }
         for job in jobs {
@@ -213,6 +215,7 @@ struct Job {
     is_closed: bool,
     has_another: bool,
     still_has: bool,
+    others_have_one_each: bool,
 }
 
 impl Job {
@@ -228,6 +231,7 @@ impl Job {
             is_closed: false,
             has_another: false,
             still_has: false,
+            others_have_one_each: false,
         };
         job.had_company = job.is_anothers(stage);
         job
@@ -240,8 +244,20 @@ impl Job {
         })
     }
 
+    /// Whether every other agent of the team works on an open subtask that is nobody else's.
+    fn have_one_each(&self, stage: &Stage<'_, Episodes>, team: usize) -> bool {
+        let mut free = stage.world.open_tasks();
+        let given = stage.allocation().iter().enumerate().take(team);
+        let mut others = given.filter(|(agent, _)| *agent != self.agent && stage.lives(*agent));
+        others.all(|(_, task)| {
+            let own = free & 1u32.checked_shl((*task).into()).unwrap_or(0);
+            free &= !own;
+            own != 0
+        })
+    }
+
     /// Looks at the allocation in force in a state after the loss.
-    fn follow(&mut self, stage: &Stage<'_, Episodes>, interval: u32) {
+    fn follow(&mut self, stage: &Stage<'_, Episodes>, team: usize, interval: u32) {
         if self.since_absent.is_none() && !stage.is_absent(self.agent) {
             self.since_lost += 1;
             return;
@@ -253,6 +269,7 @@ impl Job {
         }
         self.still_has = stage.allocation().get(self.agent).is_some_and(|task| *task != UNASSIGNED);
         self.has_another |= self.is_anothers(stage);
+        self.others_have_one_each = self.have_one_each(stage, team);
         self.is_closed |= self.task.is_some_and(|task| stage.world.open_tasks() >> task & 1 == 0);
     }
 
@@ -267,6 +284,7 @@ impl Job {
             Self { has_another: true, had_company: false, .. } => &mut sum.to_another,
             Self { has_another: true, .. } => &mut sum.kept_by_another,
             Self { is_closed: true, .. } | Self { since_absent: None, .. } => &mut sum.closed,
+            Self { others_have_one_each: true, .. } => &mut sum.to_nobody_as_each_has_another,
             _ => &mut sum.to_nobody,
         } += 1;
     }
@@ -360,11 +378,19 @@ impl Found {
         }
         table.print();
         let HandedOver {
-            at_work, to_another, kept_by_another, closed, to_nobody, to_the_lost, ..
+            at_work,
+            to_another,
+            kept_by_another,
+            closed,
+            to_nobody_as_each_has_another,
+            to_nobody,
+            to_the_lost,
+            ..
         } = handed_over;
         say!(
             "\nof {at_work} subtasks of lost agents, within one interval: {to_another} to another agent, {kept_by_another} kept by \
-             another, {closed} closed, {to_nobody} left, {to_the_lost} still with the lost; absent after {} ticks at most",
+             another, {closed} closed, {to_nobody_as_each_has_another} left as every other agent has one of its own, {to_nobody} left \
+             otherwise, {to_the_lost} still with the lost; absent after {} ticks at most",
             handed_over.ticks_until_absent
         );
     }
