@@ -186,6 +186,13 @@ impl Laws {
             require(possible && (agent < agents || *available == 1), || {
                 format!("agent {agent} may do {available:b}")
             })?;
+            let observed = seen.observable[agent] & seen.present;
+            let mut aimed_at =
+                members((*available).into()).filter_map(|action| self.spec.target_of(action));
+            let blind = aimed_at.find(|target| observed >> target & 1 == 0);
+            require(blind.is_none(), || {
+                format!("agent {agent} may aim at entity {blind:?}, which it does not observe")
+            })?;
         }
         self.check_parts(state)
     }

@@ -47,6 +47,7 @@ impl Tensors {
             attention_out: self.layer(width, width),
             fc2: base.map(|base| self.layer(width, base)),
             head: self.layer(base.unwrap_or(width), outputs),
+            pointing: None,
             skip: Some(self.matrix(width, width)),
         }
     }

@@ -139,6 +139,7 @@ pub(super) fn deployed(network: &Network) -> DeployedAgents<'_> {
         skip: shape.skip.then(|| matrix(skip)),
         fc2: remembers.then(|| Layer { weight: matrix(fc2), bias: fc2_bias }),
         head: Layer { weight: matrix(head), bias: head_bias },
+        pointing: None,
     };
     DeployedAgents {
         networks: DeployedNetworks::Attention { network: layers, memory },

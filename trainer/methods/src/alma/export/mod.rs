@@ -164,6 +164,7 @@ fn layers(weights: &UtilityWeights) -> AttentionNetwork<'_> {
         skip: shape.skip.then(|| matrix(&weights.skip_weight)),
         fc2: Some(Layer { weight: matrix(&weights.fc2_weight), bias: &weights.fc2_bias }),
         head: Layer { weight: matrix(&weights.head_weight), bias: &weights.head_bias },
+        pointing: None,
     }
 }
 
