@@ -135,7 +135,12 @@ fn detail(op: OpRef<'_>) -> String {
         format!("[N, {width}] -> [{outputs}], {}{skip}{relu}", heads(count))
     };
     let point = |targets: &Targets| {
-        format!("[N, {}] -> [{}] of [{}]", targets.width, targets.count, targets.untargeted + targets.count)
+        format!(
+            "[N, {}] -> [{}] of [{}]",
+            targets.width,
+            targets.count,
+            targets.untargeted + targets.count
+        )
     };
     match op {
         OpRef::EmbedEntities(op) => rows(op.layer.inputs, op.layer.outputs, op.relu),

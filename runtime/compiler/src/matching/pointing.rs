@@ -9,7 +9,8 @@ use tract_onnx::tract_core::ops::logic::Iff;
 use super::gru::{match_layer, match_product_of_two};
 use crate::graph::Graph;
 
-const HINT: &str = "a head that points is Concat(untargeted, Where(visible[targets], q · embedding[targets], 0))";
+const HINT: &str =
+    "a head that points is Concat(untargeted, Where(visible[targets], q · embedding[targets], 0))";
 
 /// A pointing head found in the graph.
 pub(super) struct Pointing {

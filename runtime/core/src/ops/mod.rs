@@ -47,8 +47,8 @@ pub use mean_rows::{MeanRows, Members};
 pub use output::{Output, OutputRows};
 pub use place::Place;
 pub(crate) use place::{Places, apart, copied, place, places};
-pub(crate) use proposals::{COUNTS, arena as proposal_arena};
 pub use point::{Int8PointAtEntities, PointAtEntities, Targets};
+pub(crate) use proposals::{COUNTS, arena as proposal_arena};
 pub use proposals::{
     EmbedTasks, PointerLogits, ProposalNetwork, RowAttention, ScoreAllocations, Vectors,
 };

@@ -166,8 +166,7 @@ impl Operator for PointAtEntities {
         observations: &[Observation<'_>],
         team: &mut Team<'_>,
     ) -> Result<(), DecideError> {
-        let wanted =
-            [self.from, whole(self.scores), self.to].map(|place| team.own_place(&place));
+        let wanted = [self.from, whole(self.scores), self.to].map(|place| team.own_place(&place));
         let Team { rows, own, own_floats, members, .. } = team;
         for (member, own) in members.iter().zip(own.chunks_exact_mut((*own_floats).max(1))) {
             let [from, scores, to] = places(own, wanted.each_ref())?;

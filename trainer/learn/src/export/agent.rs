@@ -2,8 +2,8 @@
 //! recurrent unit between base and head.
 
 use super::attention::{
-    AttentionNetwork, ExportError, Inputs, Layer, PointingHead, add_base, add_network, add_utilities,
-    layer,
+    AttentionNetwork, ExportError, Inputs, Layer, PointingHead, add_base, add_network,
+    add_utilities, layer,
 };
 use super::onnx::{Dim, Element, Graph, metadata};
 

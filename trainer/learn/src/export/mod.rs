@@ -10,6 +10,8 @@ mod entities;
 pub mod onnx;
 mod own_row;
 #[cfg(test)]
+mod pointing_tests;
+#[cfg(test)]
 mod skip_tests;
 
 use sortie_bundle::OptionsContract;
