@@ -5,16 +5,9 @@
 //! which each agent sees only its part of a random partition, or only the rest.
 
 mod acting;
-mod agent;
-mod learner;
-mod looking;
-mod memory;
+mod loss;
 mod method;
-mod mixer;
-mod replay;
-mod scenes;
-mod split_attention;
-mod temporal_difference;
+mod partitions;
 #[cfg(test)]
 mod tests;
 
@@ -23,22 +16,23 @@ use sortie_learn::configuration::Range::{self, OneOf, Truth, Whole};
 use sortie_learn::configuration::{
     EXPLORATION, ExplorationConfig, OPTIMISER, OptimiserConfig, SHARE,
 };
+use sortie_learn::learner::Rule;
+use sortie_learn::networks::{
+    AgentShape, Hypernetworks, LookShape, MixerKind, MixerShape, WeightsSum,
+};
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method, sections, words};
 
-use split_attention::WIDTHS;
-
 pub use acting::Acting;
-pub use agent::{AgentPass, AgentShape};
-pub use learner::{Learner, Update};
-pub use memory::Moment;
+pub use loss::{Lesson, Losses, NetworkShape, Networks};
 pub use method::ValueFactorisation;
-pub use mixer::{Hypernetworks, MixerKind, MixerPass, MixerShape, Slopes, Teams};
-pub use replay::{Ahead, End, Episode, Episodes, Future, Place, Replay};
-pub use scenes::{Partitions, Scenes};
-pub use temporal_difference::{Batch, Losses, Network, NetworkShape, TemporalDifference};
+pub use partitions::Partitions;
 
+/// Attention heads, as in all experiments of the dissertation.
+const HEADS: usize = 4;
+/// The widths that attention is built for.
+const WIDTHS: [usize; 4] = [16, 32, 64, 128];
 const SIZE: i64 = 20_000_000;
 const COLUMNS: Range = Whole(0, 1024);
 
@@ -68,6 +62,9 @@ sections! {
         hypernetworks: Hypernetworks = Hypernetworks::Shared, OneOf(Hypernetworks::WORDS);
         /// Width between the layers of `qmix`.
         mixing: usize = 32, Whole(1, 1024), "columns";
+        /// What the weights of `linear` add up to: one, or the number of agents.
+        #[serde(default)]
+        weights_sum: WeightsSum = WeightsSum::One, OneOf(WeightsSum::WORDS);
     }
 
     /// Utilities of agents that see only their part of a partition, or only the rest, mixed to the same value.
@@ -134,16 +131,6 @@ words! {
     }
 }
 
-words! {
-    /// How weights follow the gradient.
-    Rule {
-        /// By its running mean, scaled by the root of its running square.
-        Adam = "adam",
-        /// By itself, scaled by the root of its running square.
-        RmsProp = "rmsprop",
-    }
-}
-
 impl Config {
     /// The preset `paper` of A-QMIX: the dissertation's, as its chapter 5 learns Group Matching.
     pub fn paper() -> Self {
@@ -153,6 +140,7 @@ impl Config {
                 kind: MixerKind::Linear,
                 hypernetworks: Hypernetworks::Separate,
                 mixing: 32,
+                weights_sum: WeightsSum::One,
             },
             imagination: ImaginationConfig { partitions: Partitions::None, share: 0.5 },
             returns: ReturnsConfig { steps: 1, discount: 0.99 },
@@ -183,12 +171,13 @@ impl Config {
     /// The networks for an environment.
     pub fn shape(&self, spec: &Spec) -> NetworkShape {
         let NetworkConfig { width, active_inputs, skip, memory } = self.network;
-        let MixerConfig { kind, hypernetworks, mixing } = self.mixer;
+        let MixerConfig { kind, hypernetworks, mixing, weights_sum } = self.mixer;
         let Shape { features: input, actions, .. } = spec.shape;
         let active_inputs = if active_inputs == 0 { input } else { active_inputs };
+        let looking = LookShape { input, active_inputs, width, heads: HEADS };
         NetworkShape {
-            agent: AgentShape { input, active_inputs, width, actions, skip, memory },
-            mixer: MixerShape { kind, hypernetworks, input, active_inputs, width, mixing },
+            agent: AgentShape { looking, actions, skip, memory },
+            mixer: MixerShape { kind, hypernetworks, weights_sum, looking, mixing },
         }
     }
 }
