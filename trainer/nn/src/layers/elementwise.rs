@@ -19,6 +19,10 @@ pub enum Activation {
     Tanh,
     /// `1 / (1 + exp(-x))`
     Sigmoid,
+    /// `exp(x)`
+    Exp,
+    /// `x` where it is positive, else `exp(x) - 1`.
+    Elu,
 }
 
 /// Writes the activation of every number.
@@ -28,6 +32,8 @@ pub fn activate(activation: Activation, x: &[f32], y: &mut [f32]) {
         Activation::LeakyRelu(slope) => map(x, y, move |x| if x > 0.0 { x } else { slope * x }),
         Activation::Tanh => map(x, y, math::tanh),
         Activation::Sigmoid => map(x, y, math::sigmoid),
+        Activation::Exp => map(x, y, math::exp),
+        Activation::Elu => map(x, y, |x| if x > 0.0 { x } else { math::exp(x) - 1.0 }),
     }
 }
 
@@ -46,6 +52,8 @@ pub fn activate_backward(
         }
         Activation::Tanh => join(y, d_y, store, d_x, |y, d| d * (1.0 - y * y)),
         Activation::Sigmoid => join(y, d_y, store, d_x, |y, d| d * (y * (1.0 - y))),
+        Activation::Exp => join(y, d_y, store, d_x, |y, d| d * y),
+        Activation::Elu => join(y, d_y, store, d_x, |y, d| if y > 0.0 { d } else { d * (y + 1.0) }),
     }
 }
 

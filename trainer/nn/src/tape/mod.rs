@@ -29,6 +29,7 @@
 
 mod backward;
 pub mod chunks;
+mod groups;
 mod layers;
 mod parameters;
 mod steps;
@@ -314,6 +315,7 @@ enum Operation {
         lists: u32,
         weights: u32,
         shape: AttentionShape,
+        masses: Option<Var>,
     },
     SquaredScores {
         queries: Var,
@@ -396,6 +398,18 @@ enum Operation {
     Custom {
         x: Var,
         number: u32,
+    },
+    /// Row i belongs to group `indices[i]`.
+    SoftmaxGroups {
+        x: Var,
+        indices: Indices,
+        groups: u32,
+    },
+    /// `share a + (1 - share) b`
+    Blend {
+        share: Var,
+        a: Var,
+        b: Var,
     },
 }
 

@@ -174,11 +174,13 @@ impl Parameters {
 }
 
 impl Linear {
-    pub(super) fn weight_range(self) -> Range<usize> {
+    /// Where its weights stand.
+    pub fn weight_range(self) -> Range<usize> {
         self.weight..self.weight + self.shape.input * self.shape.output
     }
 
-    pub(super) fn bias_range(self) -> Option<Range<usize>> {
+    /// Where its offsets stand, if it has any.
+    pub fn bias_range(self) -> Option<Range<usize>> {
         self.bias.map(|bias| bias..bias + self.shape.output)
     }
 }
