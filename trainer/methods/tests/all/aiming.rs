@@ -182,7 +182,8 @@ fn what_points_is_exported_with_its_targets_and_gives_its_golden_answers() {
     let orchard = Orchard::new(1);
     let (description, method, curve) = (session.description(), session.method(), session.curve());
     let run = MethodRun { description, environment: &orchard, method, curve };
-    let draft = draft_method(&run, &folder.path().join("run"), &[orchard.spec.shape], &[], 1).unwrap();
+    let draft =
+        draft_method(&run, &folder.path().join("run"), &[orchard.spec.shape], &[], 1).unwrap();
     let bundle = draft.write(&folder.path().join("bundle")).unwrap();
     let onnx = std::fs::read(bundle.folder().join("agent.onnx")).unwrap();
     let says = |text: &[u8]| onnx.windows(text.len()).any(|bytes| bytes == text);

@@ -52,7 +52,10 @@ impl Tape {
                     self.descend_linear(x, layer, own.clone(), parameters, gradient);
                 }
             }
-            Operation::SparseLinear { rows, layer } => {
+            Operation::SparseLinear { rows, layer, rectified } => {
+                if rectified {
+                    relu::backward(&self.values[own.clone()], &mut self.slopes[own.clone()]);
+                }
                 let [weight, bias] = weight_and_bias(layer, gradient);
                 let rows = &self.sparse.things[rows as usize];
                 sparse_linear::backward(rows, &self.slopes[own], weight, bias);
@@ -190,6 +193,27 @@ impl Tape {
                 self.descend_softmax_groups(x, indices, groups as usize, own);
             }
             Operation::Blend { share, a, b } => self.descend_blend([share, a, b], own),
+            Operation::Parameter { start } => {
+                let place = start as usize..start as usize + own.len();
+                elementwise::scale(1.0, &self.slopes[own], Store::Add, &mut gradient[place]);
+            }
+            Operation::Product { a, b, transposed } => self.descend_product(a, b, transposed, own),
+            Operation::Absolute { x } => {
+                let range = self.of(x).range();
+                self.from(x, own, |store, values, _, d_y, d_x| {
+                    elementwise::absolute_backward(&values[range], d_y, store, d_x);
+                });
+            }
+            Operation::Absorb { queries, entities, keys_values, lists, pass, heads } => {
+                let (lists, pass, heads) = (lists as usize, pass as usize, heads as usize);
+                let weight = keys_values.weight_range();
+                let matrix = (&parameters[weight.clone()], &mut gradient[weight]);
+                self.descend_absorbed([queries, entities], matrix, [lists, pass, heads], own);
+            }
+            Operation::AttendInTeams { queries, keys, rows, lists, weights, heads, sums } => {
+                let places = [lists as usize, weights as usize, heads as usize];
+                self.descend_teams([queries, keys, rows], places, sums, own);
+            }
         }
     }
 

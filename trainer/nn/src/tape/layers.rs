@@ -5,7 +5,8 @@ use crate::layers::attention::AttentionShape;
 use crate::layers::gru::GruShape;
 use crate::layers::unfold::UnfoldShape;
 use crate::layers::{
-    SparseRows, VisibleLists, attention, attention_scores, linear, normalise, sparse_linear, unfold,
+    SparseRows, VisibleLists, attention, attention_scores, linear, normalise, relu, sparse_linear,
+    unfold,
 };
 
 impl Pass<'_> {
@@ -58,7 +59,7 @@ impl Pass<'_> {
             (None, false) => linear::forward_without_bias(layer.shape, x, weight, out),
             (None, true) => {
                 linear::forward_without_bias(layer.shape, x, weight, out);
-                crate::layers::relu::forward(out);
+                relu::forward(out);
             }
         }
         y
@@ -66,14 +67,27 @@ impl Pass<'_> {
 
     /// A first layer over features that are mostly zeros; its weight is `[input, output]`.
     pub fn sparse_linear(&mut self, features: &SparseRows, layer: Linear) -> Var {
+        self.sparse(features, layer, false)
+    }
+
+    /// The same, rectified.
+    pub fn sparse_linear_rectified(&mut self, features: &SparseRows, layer: Linear) -> Var {
+        self.sparse(features, layer, true)
+    }
+
+    fn sparse(&mut self, features: &SparseRows, layer: Linear, rectified: bool) -> Var {
         let (rows, kept) = self.tape.sparse.next();
         kept.clear();
         kept.append(features);
-        let operation = Operation::SparseLinear { rows, layer };
+        let operation = Operation::SparseLinear { rows, layer, rectified };
         let y = self.tape.push(operation, features.len(), layer.shape.output, true);
         let weight = &self.parameters[layer.weight_range()];
         let bias = layer.bias_range().expect("sparse layers have offsets");
-        sparse_linear::forward(features, weight, &self.parameters[bias], self.tape.split(y).1);
+        let out = self.tape.split(y).1;
+        sparse_linear::forward(features, weight, &self.parameters[bias], out);
+        if rectified {
+            relu::forward(out);
+        }
         y
     }
 

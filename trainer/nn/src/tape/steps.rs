@@ -126,17 +126,7 @@ impl Pass<'_> {
         self.activate(x, Activation::Sigmoid)
     }
 
-    /// `exp(x)`
-    pub fn exp(&mut self, x: Var) -> Var {
-        self.activate(x, Activation::Exp)
-    }
-
-    /// `x` where it is positive, else `exp(x) - 1`.
-    pub fn elu(&mut self, x: Var) -> Var {
-        self.activate(x, Activation::Elu)
-    }
-
-    fn activate(&mut self, x: Var, activation: Activation) -> Var {
+    pub(super) fn activate(&mut self, x: Var, activation: Activation) -> Var {
         let size = self.size(x);
         self.step(Operation::Activate { x, activation }, x, size, |x, y| {
             elementwise::activate(activation, x, y);

@@ -98,6 +98,21 @@ fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
     check("sums of columns", |t, x| t.sum_columns(x));
     check("means of columns", |t, x| t.mean_columns(x));
     check("scale", |t, x| t.scale(x, -1.5));
+    check("offset", |t, x| t.offset(x, 0.7));
+    check("absolute value", |t, x| t.abs(x));
+    check("elu", |t, x| t.elu(x));
+    check("exp", |t, x| t.exp(x));
+    check("clamp", |t, x| t.clamp(x, -0.4, 0.3));
+    check("weighted sum", |t, x| t.weighted_sum(x, &random(6, 24)));
+    check("product", |t, x| {
+        let (first, second) = (t.rows(x, 0..4), t.columns(x, 1..3));
+        let second = t.rows(second, 1..5);
+        t.product(first, second)
+    });
+    check("transposed product", |t, x| {
+        let (first, squares) = (t.rows(x, 0..2), t.multiply(x, x));
+        t.product_transposed(first, squares)
+    });
     check("custom", |t, x| t.custom(0, x, [6, 4]));
     check("concat", |t, x| {
         let (first, squares) = (t.columns(x, 0..1), t.multiply(x, x));
@@ -158,6 +173,7 @@ fn gradients_of_layers_agree_with_finite_differences() {
     let mut rows = SparseRows::default();
     [[1.0, 0.0, 0.0, 2.0], [0.0, 0.5, 0.0, 0.0]].iter().for_each(|row| rows.push_dense(row));
     check("sparse", &p, (1, 1), |t, _| t.sparse_linear(&rows, layer));
+    check("rectified sparse", &p, (1, 1), |t, _| t.sparse_linear_rectified(&rows, layer));
 
     let mut p = Parameters::default();
     let layer = p.gru("gru", 4, drawn);
@@ -240,6 +256,80 @@ fn gradients_of_attention_in_parts_agree_with_finite_differences() {
             all.get(part).copied().unwrap_or_else(|| t.concat(&all))
         });
     }
+}
+
+/// A linear layer whose weight is a product of two, and what queries and rows give in teams.
+#[test]
+fn products_of_parameters_and_steps_of_teams_have_their_gradients() {
+    let drawn = &mut stream(3, 1, 0);
+    let mut p = Parameters::default();
+    let (first, last) = (p.projection("first", 4, 8, drawn), p.projection("last", 8, 3, drawn));
+    let bias = p.tensor("bias", &[1, 3], 1.0, drawn);
+    check("product of parameters", &p, (6, 4), |t, x| {
+        let (first, last) = (t.parameter(first.weight, [8, 4]), t.parameter(last.weight, [3, 8]));
+        let both = t.product(last, first);
+        let (y, ones, bias) = (
+            t.product_transposed(x, both),
+            t.input(1, &[1.0, 2.0, 1.0, 0.5, 1.0, 0.0]),
+            t.parameter(bias, [1, 3]),
+        );
+        let offsets = t.product(ones, bias);
+        t.add(y, offsets)
+    });
+
+    let mut p = Parameters::default();
+    let (queries, keys) = (p.projection("queries", 8, 8, drawn), p.projection("keys", 8, 8, drawn));
+    let mut teams = TeamLists::default();
+    for (size, seen) in [(2, &[0, 1, 3][..]), (0, &[0]), (1, &[2, 3]), (1, &[])] {
+        seen.iter().for_each(|row| teams.push(*row));
+        teams.end_team(size);
+    }
+    for sums in [Sums::PerQuery, Sums::PerTeam] {
+        check("teams", &p, (5, 8), |t, x| {
+            let acting = t.rows(x, 0..4);
+            let (queries, keys) = (t.linear(acting, queries), t.linear(x, keys));
+            t.team_attention([queries, keys, x], &teams, sums, 2)
+        });
+    }
+
+    let mut p = Parameters::default();
+    let matrices = p.projection("keys_values", 8, 16, drawn);
+    let mut seen = VisibleLists::default();
+    for list in [&[0, 1, 3][..], &[], &[4, 2]] {
+        list.iter().for_each(|row| seen.push(*row));
+        seen.end_list();
+    }
+    check("absorbed", &p, (5, 8), |t, x| {
+        let queries = t.rows(x, 0..3);
+        t.absorbed_attention(queries, x, matrices, &seen, 2)
+    });
+    let mut tape = Tape::default();
+    let mut pass = tape.begin(&p.values);
+    let x = pass.input(8, &random(5, 40));
+    let (queries, rows) = (pass.rows(x, 0..3), pass.linear(x, matrices));
+    let [absorbed, plain] = [
+        pass.absorbed_attention(queries, x, matrices, &seen, 2),
+        pass.attention(queries, rows, &seen, 2),
+    ];
+    for (absorbed, plain) in pass.values(absorbed).iter().zip(pass.values(plain)) {
+        assert!((absorbed - plain).abs() < 1e-5, "{absorbed} against {plain}");
+    }
+    // Keys and values of five rows, a score and a sum for each of five pairs; then what three queries absorb, and the
+    // scores and sums of two heads.
+    let (plain, absorbed) = (5 * 128 + 2 * 5 * 8, 2 * 3 * 64 + 2 * 5 * 2 * 8);
+    assert_eq!(pass.operations(false), 2 * (plain + absorbed));
+    assert_eq!(pass.operations(true), 3 * pass.operations(false));
+}
+
+#[test]
+fn places_are_those_that_parameters_get() {
+    let drawn = &mut stream(3, 1, 0);
+    let (mut p, mut places) = (Parameters::default(), Places::default());
+    assert_eq!(p.linear("linear", 4, 5, drawn), places.linear(4, 5));
+    assert_eq!(p.projection("projection", 3, 2, drawn), places.projection(3, 2));
+    assert_eq!(p.gru("gru", 4, drawn), places.gru(4));
+    assert_eq!(p.tensor("tensor", &[2, 3], 1.0, drawn), places.numbers(6));
+    assert_eq!(places.end, p.values.len());
 }
 
 #[test]

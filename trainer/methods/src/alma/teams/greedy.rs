@@ -6,15 +6,15 @@ use sortie_core::policy::{DecideError, NO_ACTION as NO_ACTION_YET, Observation, 
 use sortie_envs::{ActionSet, Observation as Seen, UNASSIGNED, members};
 use sortie_learn::LearnError;
 use sortie_learn::random::{Purpose, generator};
-use sortie_nn::layers::gru::{GruPass, GruShape};
 use sortie_nn::random::Generator;
+use sortie_nn::tape::{Places, Tape};
 
 use super::{Scene, Team};
 use crate::alma::agents::{
-    Columns, Conditioning, NO_ACTION, TeamBatch, UtilityNetwork, UtilityPass, UtilityShape,
+    Columns, Conditioning, NO_ACTION, TeamBatch, UtilityLayers, UtilityNetwork, UtilityShape,
     best_action,
 };
-use crate::alma::coach::{Advice, Coach, PlayerPass, strategy_of};
+use crate::alma::coach::{Advice, Coach, strategy_of};
 
 /// Agents that learn or have learned, greedy, on all scenes at once.
 #[derive(Debug)]
@@ -32,7 +32,7 @@ impl<'a> NetworkTeam<'a> {
 
     /// Acts by agents that see subtasks as they were trained to, and are told their strategies if they have a coach.
     pub fn conditioned(agents: Agents<'a>, conditioning: Conditioning) -> Self {
-        let players = Players::new(conditioning, agents.network.shape());
+        let players = Players::new(conditioning);
         Self { agents, players, advice: agents.coach.map(Advice::new) }
     }
 }
@@ -178,30 +178,27 @@ impl<'a> Agents<'a> {
 #[derive(Debug)]
 pub struct Players {
     batch: TeamBatch,
-    pass: UtilityPass,
+    tape: Tape,
     /// (scene, agent) of every row of the batch.
     actors: Vec<(usize, usize)>,
-    advised: PlayerPass,
-    gru: GruPass,
+    /// Of network and memory unit, where there is one.
+    parameters: Vec<f32>,
     /// `[worlds, A, R]`: what every agent remembers.
     memory: Vec<f32>,
-    /// `[rows, R]`: the same of those who act, before and after.
+    /// `[rows, R]`: the same of those who act.
     remembered: Vec<f32>,
-    output: Vec<f32>,
 }
 
 impl Players {
-    /// Buffers for networks of a shape; nobody remembers anything.
-    pub fn new(conditioning: Conditioning, shape: UtilityShape) -> Self {
+    /// Buffers for agents that see teams so; nobody remembers anything.
+    pub fn new(conditioning: Conditioning) -> Self {
         Self {
             batch: TeamBatch::new(conditioning),
-            pass: UtilityPass::new(shape),
+            tape: Tape::default(),
             actors: Vec::new(),
-            advised: PlayerPass::default(),
-            gru: GruPass::default(),
+            parameters: Vec::new(),
             memory: Vec::new(),
             remembered: Vec::new(),
-            output: Vec::new(),
         }
     }
 
@@ -219,25 +216,39 @@ impl Players {
         mut each: impl FnMut(usize, usize, &[f32]),
     ) -> Result<(), LearnError> {
         self.look(agents.network.shape(), scenes)?;
-        let Self { batch, pass, advised, actors, .. } = self;
-        let (network, input) = (agents.network, batch.finish());
-        let utilities = if agents.coach.is_some() {
-            let width = network.shape().base;
-            let told = actors
-                .iter()
-                .map(|(scene, agent)| strategy_of(scenes[*scene].strategies, *agent, width));
-            advised.forward(network, pass, input, told)
-        } else if agents.memory_unit.is_empty() {
-            pass.forward(network, input)
+        let Agents { network, memory_unit, coach } = agents;
+        let shape = network.shape();
+        self.recall(scenes, slots, shape.base, memory_unit.is_empty());
+        let Self { batch, tape, actors, parameters, remembered, .. } = self;
+        let mut t = tape.begin(if memory_unit.is_empty() {
+            network.parameters()
         } else {
-            let base = pass.forward_base(network, input).to_vec();
-            self.remember(agents, &base, scenes, slots);
-            self.pass.forward_head(network, &self.output)
-        };
-        let actions = agents.network.shape().actions;
-        for ((scene, agent), utilities) in self.actors.iter().zip(utilities.chunks_exact(actions)) {
+            parameters.clear();
+            parameters.extend(network.parameters().iter().chain(memory_unit));
+            &parameters[..]
+        });
+        let places = &mut Places::default();
+        let layers = UtilityLayers::of(shape, places);
+        let mut base = layers.base(&mut t, batch.input());
+        if coach.is_some() {
+            let mut told = vec![0.0; actors.len() * shape.base];
+            for (told, (scene, agent)) in told.chunks_exact_mut(shape.base).zip(&*actors) {
+                if let Some(own) = strategy_of(scenes[*scene].strategies, *agent, shape.base) {
+                    told.copy_from_slice(own);
+                }
+            }
+            let told = t.input(shape.base, &told);
+            base = t.add(base, told);
+        }
+        if !memory_unit.is_empty() {
+            base = t.gru(base, places.gru(shape.base), &vec![true; actors.len()], remembered);
+        }
+        let utilities = layers.head(&mut t, base);
+        let rows = t.values(utilities).chunks_exact(shape.actions);
+        for ((scene, agent), utilities) in actors.iter().zip(rows) {
             each(*scene, *agent, utilities);
         }
+        self.keep(scenes, slots, shape.base);
         Ok(())
     }
 
@@ -260,32 +271,32 @@ impl Players {
             let added = |agent| actors.push((place, agent));
             batch.push_unassigned(scene.seen, scene.allocation, scene.last_actions, added);
         }
+        batch.finish();
         Ok(())
     }
 
-    /// Takes the memories of all who act one step on, from `base [rows, R]`.
-    fn remember(&mut self, agents: Agents<'_>, base: &[f32], scenes: &[Scene<'_>], slots: usize) {
-        let width = agents.network.shape().base;
-        let rows = self.actors.len();
-        let place = |(scene, agent): (usize, usize)| (scenes[scene].world * slots + agent) * width;
-        let end = self.actors.iter().map(|actor| place(*actor) + width).max().unwrap_or(0);
-        self.memory.resize(self.memory.len().max(end), 0.0);
+    /// Lists what those who act remember, nothing where they have just begun or have no memory at all.
+    fn recall(&mut self, scenes: &[Scene<'_>], slots: usize, width: usize, nothing: bool) {
         self.remembered.clear();
+        if nothing {
+            return;
+        }
         for (scene, agent) in self.actors.iter().copied() {
-            let memory = &mut self.memory[place((scene, agent))..][..width];
+            let place = (scenes[scene].world * slots + agent) * width;
+            self.memory.resize(self.memory.len().max(place + width), 0.0);
+            let memory = &mut self.memory[place..place + width];
             if scenes[scene].last_actions[agent] == NO_ACTION {
                 memory.fill(0.0);
             }
             self.remembered.extend_from_slice(memory);
         }
-        self.output.clear();
-        self.output.resize(rows * width, 0.0);
-        let shape = GruShape { width, slots: rows };
-        let input = (base, &*vec![true; rows]);
-        let Self { remembered, output, .. } = self;
-        self.gru.forward(shape, agents.memory_unit, input, remembered, output);
-        for (actor, after) in self.actors.iter().zip(self.remembered.chunks_exact(width)) {
-            self.memory[place(*actor)..][..width].copy_from_slice(after);
+    }
+
+    /// Writes down what those who act remember now.
+    fn keep(&mut self, scenes: &[Scene<'_>], slots: usize, width: usize) {
+        for ((scene, agent), after) in self.actors.iter().zip(self.remembered.chunks_exact(width)) {
+            let place = (scenes[*scene].world * slots + agent) * width;
+            self.memory[place..place + width].copy_from_slice(after);
         }
     }
 }

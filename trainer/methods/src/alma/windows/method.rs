@@ -64,7 +64,7 @@ impl WindowLearner {
         }
         let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
         Self {
-            rollout: Rollout::new(config, low_level.online.agents.shape(), spec.shape.agents),
+            rollout: Rollout::new(config, spec.shape.agents),
             allocation: learning.map(|learning| AllocationLevel::new(learning, seed)),
             replay: Replay::new(config.learning.episodes),
             sample: SampleShape {
