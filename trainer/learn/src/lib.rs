@@ -17,6 +17,7 @@ pub mod report;
 pub mod run;
 pub mod session;
 pub mod state;
+pub mod subtasks;
 
 pub use error::LearnError;
 pub use method::{Act, Head, Method, Now, Scene, Scenes, Thought, Transition};

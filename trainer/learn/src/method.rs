@@ -4,11 +4,13 @@ use std::path::Path;
 
 use sortie_envs::{Environment, Random, Step};
 
+use crate::draft::Words;
 use crate::error::LearnError;
 use crate::export::DeployedAgents;
 use crate::run::checkpoint::OpenFor;
 use crate::run::{Rates, Reports, RunFolder};
 use crate::state::State;
+use crate::subtasks::Subtasks;
 
 /// A state in which a team is to act.
 #[derive(Clone, Copy, Debug)]
@@ -187,6 +189,12 @@ pub trait Method: Send {
     /// The team as it is measured: greedy, and where the method averages weights, with the averaged ones.
     fn team(&self) -> Box<dyn Act + '_>;
 
+    /// Its agents for whatever allocation, and what it has learned to allocate them with; none where agents have no
+    /// subtasks.
+    fn subtasks(&self) -> Option<Subtasks<'_>> {
+        None
+    }
+
     /// Who allocates its agents where it is measured; `none` where there are no subtasks.
     fn allocation(&self) -> &str {
         "none"
@@ -218,5 +226,10 @@ pub trait Method: Send {
     /// They cannot be deployed; the error says why.
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
         Err(LearnError::Config("agents of this method are evaluated only".to_owned()))
+    }
+
+    /// What it says on the card of a bundle, beside what every card says.
+    fn words(&self) -> Words {
+        Words::default()
     }
 }

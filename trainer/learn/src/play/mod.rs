@@ -14,6 +14,7 @@ use crate::method::{Method, Now, Scene, Scenes, Transition};
 use crate::run::EpisodeCounts;
 use crate::state::State;
 
+pub(crate) use episodes::finish;
 pub use episodes::{Onlooker, Start, WORLDS, Watched, evaluate, evaluate_watched, watch};
 pub use teams::{PolicyTeam, RandomTeam};
 

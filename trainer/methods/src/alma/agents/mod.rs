@@ -7,8 +7,9 @@ mod utility_pass;
 
 pub use entity_attention::UtilityInput;
 pub(crate) use entity_attention::{AttentionGradients, AttentionWeights, EntityAttention};
+pub use sortie_learn::subtasks::NO_ACTION;
 pub(crate) use team_batch::random_action;
-pub use team_batch::{Columns, Conditioning, NO_ACTION, TaskOrder, TeamBatch, best_action};
-pub use utility::{Learned, OpenLearned, Tensor, UtilityNetwork, UtilityShape, UtilityWeights};
-pub(crate) use utility::{network_of, open_nothing, tensors, transpose};
+pub use team_batch::{Columns, Conditioning, TaskOrder, TeamBatch, best_action};
+pub use utility::{Tensor, UtilityNetwork, UtilityShape, UtilityWeights};
+pub(crate) use utility::{tensors, transpose};
 pub use utility_pass::{NetworkPolicy, UtilityPass};
