@@ -112,15 +112,21 @@ fn write(arguments: &ExportArguments, draft: Draft) -> Outcome {
 
 /// Exports what a run has learned.
 fn export_run(arguments: &ExportArguments) -> Outcome {
+    let mut is_limited = arguments.team_max.is_none();
     let learned = LearnedMethod::open_with(&arguments.run, |entry, setup| {
-        let Some(team_max) = arguments.team_max else { return Ok(setup) };
-        entry.set_flag(&setup, "--team-max", &team_max.to_string()).map_err(|_| {
-            let reason =
-                "`--team-max` limits a team-value allocator, which this run has not learned";
-            Failure::new(Exit::Usage, reason)
-        })
+        let team_max = arguments.team_max.map(|most| most.to_string());
+        let set = team_max.map(|most| entry.set_flag(&setup, "--team-max", &most));
+        let limited = set.and_then(Result::ok);
+        is_limited |= limited.is_some();
+        limited.unwrap_or(setup)
     })?;
     learned.method.deployed()?;
+    if !is_limited {
+        let what = if learned.method.subtasks().is_some() { "a team-value" } else { "an" };
+        let reason =
+            format!("`--team-max` limits {what} allocator, which this run has not learned");
+        return Err(Failure::new(Exit::Usage, reason));
+    }
     let seed = arguments.common.seed;
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(seed));
     let (mut measured, mut sizes) = (Vec::new(), vec![learned.environment.spec().shape]);

@@ -23,13 +23,13 @@ pub struct LearnedMethod {
 impl LearnedMethod {
     /// Opens the run in a folder.
     pub fn open(folder: &Path) -> Result<Self, Failure> {
-        Self::open_with(folder, |_, setup| Ok(setup))
+        Self::open_with(folder, |_, setup| setup)
     }
 
     /// The same under a setup that differs in what is used, not in what was learned.
     pub fn open_with(
         folder: &Path,
-        change: impl FnOnce(&MethodEntry, Setup) -> Result<Setup, Failure>,
+        change: impl FnOnce(&MethodEntry, Setup) -> Setup,
     ) -> Result<Self, Failure> {
         let name = method_of(folder)?;
         let unknown = || {
@@ -40,7 +40,7 @@ impl LearnedMethod {
         };
         let entry = sortie_methods::find(&name).ok_or_else(unknown)?;
         let mut description = read_description(folder)?;
-        description.config = change(entry, description.config)?;
+        description.config = change(entry, description.config);
         let (environment, mut method) = open(entry, &description, 1)?;
         warn_of_refused(&load_weights(folder, &mut *method)?);
         Ok(Self { description, environment, method })
@@ -59,9 +59,14 @@ impl LearnedMethod {
         names.iter().map(chosen).collect()
     }
 
-    /// An environment to play in, whose rows and actions have to be those that the agents learned with.
+    /// An environment to play in, whose rows and actions have to be those that the agents learned with. Agents with
+    /// subtasks play by its usual rules, as their bundle does.
     pub fn open_as(&self, choice: &EnvironmentChoice) -> Result<Box<dyn Environment>, Failure> {
-        let environment = open_environment(choice)?;
+        let mut rules = choice.clone();
+        if self.method.subtasks().is_some() {
+            rules.settings.clear();
+        }
+        let environment = open_environment(&rules)?;
         let (known, spec) = (self.environment.spec(), environment.spec());
         if known.features == spec.features && known.actions == spec.actions {
             return Ok(environment);

@@ -88,7 +88,7 @@ impl Subject {
         }
     }
 
-    /// A scenario set that it fits, opened; with the numbers of the rules that a run has learned by.
+    /// A scenario set that it fits, opened.
     pub fn open(&self, set: &ScenarioSetName) -> Result<Box<dyn Environment>, Failure> {
         match self {
             Self::Bundle(bundle) => check_fits(bundle, set).and_then(|()| set.open(Split::Test)),

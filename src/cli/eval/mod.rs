@@ -12,10 +12,8 @@ use serde::Serialize;
 use sortie_envs::{Environment, Spec};
 use sortie_learn::Act;
 use sortie_learn::evaluate::Evaluation;
-use sortie_learn::play::{Onlooker, evaluate_watched};
-use sortie_learn::subtasks::{
-    Agents, Allocate, AllocatedTeam, Planner, PlannerReport, PolicyAgents, ScriptedAgents,
-};
+use sortie_learn::play::{Onlooker, Planner, PlannerReport, evaluate_watched};
+use sortie_learn::subtasks::{Agents, Allocate, AllocatedTeam, PolicyAgents, ScriptedAgents};
 
 use self::attention::Attention;
 use crate::allocation::AllocatorChoice;

@@ -6,23 +6,8 @@ use sortie_envs::{Metric, Spec};
 
 use super::MethodRun;
 use crate::evaluate::Evaluation;
-use crate::export::DeployedNetworks;
+use crate::export::{DeployedNetworks, Words};
 use crate::run::RunDescription;
-
-/// What a method says on the card of a bundle, beside what every card says. Empty words say nothing.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Words {
-    /// What its agents are; where it says nothing, what is known of networks of their kind.
-    pub agents: String,
-    /// What allocates them.
-    pub allocator: String,
-    /// What the figures mean.
-    pub figures: String,
-    /// How its training departs from the dissertation, as items of a list.
-    pub departures: String,
-    /// What the team is not made for.
-    pub limits: String,
-}
 
 /// A measured allocation, for the card.
 #[derive(Clone, Debug)]

@@ -30,7 +30,7 @@ use crate::subtasks::{
     AllocatedTeam, AllocatorNetworks, LearnedAllocator, PolicyAgents, RuleAllocator,
 };
 
-pub use card::{Measured, Words, measured_table};
+pub use card::{Measured, measured_table};
 pub use recorder::{EpisodeRecorder, Recorder};
 
 /// Episodes that golden observations are drawn from.
@@ -151,7 +151,7 @@ impl AgentParts {
         let kind = match &allocator.networks {
             AllocatorNetworks::TeamValue(layers) => {
                 let (features, relations) = (spec.shape.features, spec.relations);
-                let network = TeamValueExport { features, relations, contract, layers: *layers };
+                let network = TeamValueExport { features, relations, contract, layers: **layers };
                 self.parts.insert(ALLOCATOR.to_owned(), team_value_onnx(&network)?);
                 TEAM_VALUE
             }

@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use sortie_envs::{Environment, Episode, Random, Split, Step};
 
+use crate::act::{Act, Scene, Scenes};
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
-use crate::method::{Act, Scene, Scenes};
 
 /// Episodes that are played at the same time.
 pub const WORLDS: usize = 64;
@@ -125,7 +125,7 @@ pub fn watch(
 ///
 /// # Errors
 /// The team cannot decide, or chose an action that is not available.
-pub(crate) fn finish(
+pub(super) fn finish(
     worlds: &mut dyn Environment,
     team: &mut dyn Act,
     instances: Vec<(usize, Random)>,

@@ -6,18 +6,16 @@
 
 mod agents;
 mod allocators;
-mod planner;
 mod team;
 
 use sortie_envs::{Environment, Observation, Random};
 
+use crate::act::Thought;
 use crate::error::LearnError;
 use crate::export::{AttentionNetwork, ExportError};
-use crate::method::Thought;
 
 pub use agents::{MaskedViews, PolicyAgents, ScriptedAgents};
 pub use allocators::{DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state};
-pub use planner::{Planner, PlannerReport};
 pub use team::AllocatedTeam;
 
 /// The last action of an agent that has not acted yet in its episode.
@@ -169,7 +167,7 @@ pub type WriteGraphs<'a> = dyn Fn(u64) -> Result<[Vec<u8>; 3], ExportError> + 'a
 /// What an allocator decides by.
 pub enum AllocatorNetworks<'a> {
     /// It values single teams at single subtasks, and the best allocation is searched.
-    TeamValue(AttentionNetwork<'a>),
+    TeamValue(Box<AttentionNetwork<'a>>),
     /// It proposes allocations, and a critic takes the best: trunk, step and critic.
     Proposals(Box<WriteGraphs<'a>>),
 }

@@ -3,8 +3,8 @@
 use sortie_envs::{DecisionPoints, EntitySet, Environment, Observation, Random, UNASSIGNED};
 
 use super::{Agents, Allocate, AllocatedScene, NO_ACTION};
+use crate::act::{Act, Scene, Scenes, Thought};
 use crate::error::LearnError;
-use crate::method::{Act, Scene, Scenes, Thought};
 
 /// What an instance remembers between steps.
 #[derive(Clone, Debug)]
@@ -56,7 +56,7 @@ impl<'a> AllocatedTeam<'a> {
     }
 
     /// Observes a scene, and allocates where that is due; whether it was.
-    pub(super) fn decide(
+    pub(crate) fn decide(
         &mut self,
         environment: &dyn Environment,
         scene: &Scene<'_>,
@@ -81,7 +81,7 @@ impl<'a> AllocatedTeam<'a> {
     }
 
     /// Lets the agents act in scenes that were [decided](Self::decide).
-    pub(super) fn choose(
+    pub(crate) fn choose(
         &mut self,
         scenes: &Scenes<'_>,
         actions: &mut [u16],
@@ -95,17 +95,17 @@ impl<'a> AllocatedTeam<'a> {
     }
 
     /// What the agents of an instance see.
-    pub(super) fn seen(&self, instance: usize) -> &Observation {
+    pub(crate) fn seen(&self, instance: usize) -> &Observation {
         &self.places[instance].seen
     }
 
     /// Gives the agents of an instance other subtasks.
-    pub(super) fn reallocate(&mut self, instance: usize, allocation: &[u8]) {
+    pub(crate) fn reallocate(&mut self, instance: usize, allocation: &[u8]) {
         self.places[instance].allocation.copy_from_slice(allocation);
     }
 
     /// Has a second instance go on from where a first one stands.
-    pub(super) fn copy(&mut self, from: usize, to: usize) {
+    pub(crate) fn copy(&mut self, from: usize, to: usize) {
         let place = self.places[from].clone();
         self.places.resize(self.places.len().max(to + 1), place.clone());
         self.places[to] = place;

@@ -11,7 +11,6 @@ use sortie_nn::layers::gru::lengths;
 
 use super::Config;
 use super::agents::{UtilityNetwork, UtilityShape, tensors};
-use super::windows::WindowShape;
 
 /// What another run has learned, by whichever preset.
 #[derive(Clone, Debug)]
@@ -45,10 +44,10 @@ impl Learned {
                 })
             }
             Config::Windows(config) => {
-                let (level, sizes) = (&config.low_level, WindowShape::of(spec.shape));
+                let level = &config.low_level;
                 let memory = if level.recurrent { lengths(level.base).iter().sum() } else { 0 };
                 Ok(Self {
-                    network: network(checkpoint, "agents/online", level.shape(sizes))?,
+                    network: network(checkpoint, "agents/online", config.agents(spec))?,
                     memory_unit: match memory {
                         0 => Vec::new(),
                         count => checkpoint.whole_vector("memory/online", count)?,

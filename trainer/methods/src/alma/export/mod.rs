@@ -6,8 +6,7 @@ mod tests;
 
 use sortie_core::Policy;
 use sortie_learn::LearnError;
-use sortie_learn::draft::Words;
-use sortie_learn::export::{DeployedAgents, DeployedNetworks};
+use sortie_learn::export::{DeployedAgents, DeployedNetworks, Words};
 
 use super::agents::{Conditioning, NetworkPolicy, UtilityNetwork};
 use super::teams::Agents;

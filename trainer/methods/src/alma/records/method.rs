@@ -5,8 +5,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::{Environment, Random};
-use sortie_learn::draft::Words;
-use sortie_learn::export::DeployedAgents;
+use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Level, Rates, Reports};
 use sortie_learn::subtasks::{Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, Subtasks};
@@ -147,7 +146,7 @@ impl Records {
             interval: allocation.interval,
             allocator: self.team_values().map(|network| LearnedAllocator {
                 allocate: Box::new(TeamValueAllocator::new(network, team_max)),
-                networks: AllocatorNetworks::TeamValue(network.layers()),
+                networks: AllocatorNetworks::TeamValue(Box::new(network.layers())),
                 team_max: Some(team_max),
             }),
         }

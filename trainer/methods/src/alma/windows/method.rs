@@ -4,8 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::{Environment, Random, Spec};
-use sortie_learn::draft::Words;
-use sortie_learn::export::DeployedAgents;
+use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::subtasks::{Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, Subtasks};

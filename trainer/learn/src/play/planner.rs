@@ -11,11 +11,11 @@ use serde::Serialize;
 use sortie_envs::random::{chance, generator, member};
 use sortie_envs::{Environment, Random, Split};
 
-use super::AllocatedTeam;
+use super::episodes::{WORLDS, finish};
+use crate::act::{Act, Scene, Scenes};
 use crate::error::LearnError;
-use crate::method::{Act, Scene, Scenes};
-use crate::play::{WORLDS, finish};
 use crate::random::{Purpose, generator as stream};
+use crate::subtasks::AllocatedTeam;
 
 /// Share of the agents that a candidate sends elsewhere.
 const MOVED: f64 = 0.3;
