@@ -53,3 +53,18 @@ pub enum DeployedNetworks<'a> {
         graphs: OptionGraphs,
     },
 }
+
+/// What a method says on the card of a bundle, beside what every card says. Empty words say nothing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Words {
+    /// What its agents are; where it says nothing, what is known of networks of their kind.
+    pub agents: String,
+    /// What allocates them.
+    pub allocator: String,
+    /// What the figures mean.
+    pub figures: String,
+    /// How its training departs from the dissertation, as items of a list.
+    pub departures: String,
+    /// What the team is not made for.
+    pub limits: String,
+}

@@ -2,6 +2,7 @@
 
 use sortie_envs::random::chance;
 use sortie_envs::{DecisionPoints, EntitySet, Observation, Shape, UNASSIGNED};
+use sortie_learn::subtasks::{Allocate, AllocatedScene};
 use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
 
@@ -10,7 +11,7 @@ use super::config::Exploration;
 use super::sampling::{Episode, Moment};
 use crate::alma::agents::{NO_ACTION, best_action, random_action};
 use crate::alma::coach::Advice;
-use crate::alma::teams::{Agents, Allocate, Players, Scene};
+use crate::alma::teams::{Agents, Players};
 
 /// What one environment remembers between steps.
 #[derive(Clone, Debug)]
@@ -121,9 +122,9 @@ impl Rollout {
             let Instance { allocation, last_actions, strategies, seen, .. } =
                 &instances[scene.instance];
             let (world, state) = (scene.instance, scene.state);
-            Scene { world, environment, state, seen, allocation, last_actions, strategies }
+            AllocatedScene { world, environment, state, seen, allocation, last_actions, strategies }
         });
-        let shown: Vec<Scene<'_>> = shown.collect();
+        let shown: Vec<AllocatedScene<'_>> = shown.collect();
         let slots = environment.spec().shape.agents;
         let epsilon = behaviour.exploration.actions;
         actions.fill(0);
@@ -316,7 +317,7 @@ mod tests {
                         }
                         compared += 1;
                     };
-                    let scene = Scene {
+                    let scene = AllocatedScene {
                         world,
                         environment: &*city,
                         state: episode.state(state),
