@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use clap::builder::PossibleValue;
 use sortie_bundle::{Bundle, SubtaskConditioning};
 use sortie_envs::{ENVIRONMENTS, Entry, Rule};
-use sortie_methods::alma::teams::RuleAllocator;
+use sortie_learn::subtasks::RuleAllocator;
 
 use crate::environment::entry_of;
 use crate::failure::{Exit, Failure};

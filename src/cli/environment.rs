@@ -4,11 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use sortie_bundle::{Bundle, Environment as BundleEnvironment};
-use sortie_envs::{
-    Choice, ENVIRONMENTS, Entry, Environment, EnvironmentError, Random, Shape, Spec, Split,
-};
-use sortie_learn::random::{Purpose, generator};
-use sortie_learn::{Act, LearnError, Scenes};
+use sortie_envs::{Choice, ENVIRONMENTS, Entry, Environment, EnvironmentError, Shape, Spec, Split};
+use sortie_learn::subtasks::{AllocatedTeam, NoSubtasks, ScriptedAgents};
 
 use crate::failure::{Exit, Failure, Outcome};
 
@@ -163,45 +160,16 @@ pub fn check_spec(bundle: &Bundle, spec: &Spec, set: &str) -> Outcome {
     Ok(())
 }
 
-/// Acts by the environment's script.
-pub(crate) struct Scripted {
-    random: Random,
-    unassigned: Vec<u8>,
-}
-
-impl Scripted {
-    /// The team of an environment in which nobody is allocated; ties are broken by the seed.
-    pub(crate) fn of(
-        name: &ScenarioSetName,
-        environment: &dyn Environment,
-        seed: u64,
-    ) -> Result<Self, Failure> {
-        if environment.spec().shape.tasks > 0 {
-            let message = format!("the scripted team of `{name}` needs somebody who allocates");
-            return Err(Failure::new(Exit::Usage, message));
-        }
-        let unassigned = vec![sortie_core::UNASSIGNED; environment.spec().shape.agents];
-        Ok(Self { random: generator(seed, Purpose::Evaluation, u64::MAX), unassigned })
+/// The script of an environment in which nobody is allocated; ties are broken by the seed.
+pub(crate) fn scripted(
+    name: &ScenarioSetName,
+    environment: &dyn Environment,
+    seed: u64,
+) -> Result<AllocatedTeam<'static>, Failure> {
+    if environment.spec().shape.tasks > 0 {
+        let message = format!("the scripted team of `{name}` needs somebody who allocates");
+        return Err(Failure::new(Exit::Usage, message));
     }
-}
-
-impl Act for Scripted {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
-        let Self { random, unassigned } = self;
-        for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(unassigned.len()))
-        {
-            if !scenes.environment.scripted(scene.state, unassigned, random, actions) {
-                let name = scenes.environment.spec().name;
-                let reason =
-                    format!("`{name}` has no scripted team: name a bundle or a training run");
-                return Err(LearnError::Misfit(reason));
-            }
-        }
-        Ok(())
-    }
+    let agents = Box::new(ScriptedAgents::new(seed));
+    Ok(AllocatedTeam::new(agents, Box::new(NoSubtasks), u32::MAX))
 }

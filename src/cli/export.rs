@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use indicatif::ProgressBar;
 use serde::Serialize;
 use sortie_bundle::files::check_folder;
 use sortie_bundle::{
@@ -13,17 +12,14 @@ use sortie_bundle::{
 };
 use sortie_core::Policy;
 use sortie_envs::{Environment, Spec, Split};
+use sortie_learn::Act;
 use sortie_learn::draft::{
     Measured, MethodRun, Recorder, contract, described, draft_method, limits, measured_table,
 };
 use sortie_learn::evaluate::Evaluation;
-use sortie_learn::play::{self, PolicyTeam, evaluate};
+use sortie_learn::play::{PolicyTeam, evaluate, evaluate_watched};
 use sortie_learn::run::read_curve;
-use sortie_methods::alma;
-use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate_watched};
-use sortie_methods::alma::export::{check_exportable, draft_bundle};
-use sortie_methods::alma::run::Run;
-use sortie_methods::alma::teams::Allocate;
+use sortie_learn::subtasks::Allocate;
 use sortie_plans::{
     CompileError, FlatPolicy, InputRole, PolicyFacts, PolicyInput, PolicyOptions, TeamPolicy,
     TeamSizes, read_onnx,
@@ -37,11 +33,11 @@ use crate::foreign::PolicyArguments;
 use crate::methods::LearnedMethod;
 use crate::output::{Common, print_json, say};
 use crate::seeds::SeedRange;
-use crate::subject::open_run;
 use crate::terminal::{self, CountedEpisodes};
 use crate::tools::{check_program, compiler, engines, with_plans};
 
-/// Rules that the agents are measured under beside their own allocator.
+/// Whom agents that are allocated are measured under: their own allocator, and rules.
+const LEARNED: &str = "learned";
 const RULES: [&str; 2] = ["coordinated", "heuristic"];
 
 /// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
@@ -98,36 +94,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Outcome {
         let reason = "what is said about a policy's inputs and outputs goes with an ONNX file";
         return Err(Failure::new(Exit::Usage, reason));
     }
-    if let Some(learned) = LearnedMethod::find(&arguments.run)? {
-        return export_method(arguments, &learned);
-    }
-    let (mut run, learned_in) = open_run(&arguments.run)?;
-    check_exportable(&run)?;
-    if let Some(team_max) = arguments.team_max {
-        let alma::Config::Records(config) = &mut run.config else {
-            let reason =
-                "`--team-max` limits a team-value allocator, which this run has not learned";
-            return Err(Failure::new(Exit::Usage, reason));
-        };
-        config.allocation.team_max = team_max.into();
-    }
-    let seed = arguments.common.seed;
-    let sets = sets(arguments, &run)?;
-    let allocators = RULES.len() + usize::from(run.allocator.is_some());
-    let seeds = arguments.seeds.unwrap_or(SeedRange::only(seed));
-    let evaluations = (sets.len() * allocators).saturating_mul(seeds.iter().count());
-    let episodes = u64::from(arguments.episodes).saturating_mul(evaluations as u64);
-    let bar = terminal::bar(arguments.common, episodes, "episodes");
-    let (mut measured, mut sizes) = (Vec::new(), vec![learned_in.spec().shape]);
-    for set in sets {
-        let environment = set.open(Split::Test)?;
-        sizes.push(environment.spec().shape);
-        let plan = |seed| EvaluationPlan::new(&*environment, arguments.episodes as usize, seed);
-        let plans: Vec<EvaluationPlan<'_>> = seeds.iter().map(plan).collect();
-        measure(&run, (set.set(), &plans), &bar, &mut measured)?;
-    }
-    bar.finish_and_clear();
-    write(arguments, draft_bundle((&run, &*learned_in), &arguments.run, &sizes, &measured, seed)?)
+    export_run(arguments)
 }
 
 /// Writes the bundle with its plans.
@@ -143,31 +110,50 @@ fn write(arguments: &ExportArguments, draft: Draft) -> Outcome {
     Ok(())
 }
 
-/// Exports what a method has learned in any environment.
-fn export_method(arguments: &ExportArguments, learned: &LearnedMethod) -> Outcome {
-    if arguments.team_max.is_some() {
-        let reason = "`--team-max` limits an allocator, which this run has not learned";
+/// Exports what a run has learned.
+fn export_run(arguments: &ExportArguments) -> Outcome {
+    let mut is_limited = arguments.team_max.is_none();
+    let learned = LearnedMethod::open_with(&arguments.run, |entry, setup| {
+        let team_max = arguments.team_max.map(|most| most.to_string());
+        let set = team_max.map(|most| entry.set_flag(&setup, "--team-max", &most));
+        let limited = set.and_then(Result::ok);
+        is_limited |= limited.is_some();
+        limited.unwrap_or(setup)
+    })?;
+    learned.method.deployed()?;
+    if !is_limited {
+        let what = if learned.method.subtasks().is_some() { "a team-value" } else { "an" };
+        let reason =
+            format!("`--team-max` limits {what} allocator, which this run has not learned");
         return Err(Failure::new(Exit::Usage, reason));
     }
-    learned.method.deployed()?;
     let seed = arguments.common.seed;
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(seed));
     let (mut measured, mut sizes) = (Vec::new(), vec![learned.environment.spec().shape]);
     let choices = learned.choices(&arguments.env)?;
-    let evaluations = choices.len().saturating_mul(seeds.iter().count());
+    let allocations = allocations(&learned);
+    let evaluations = (choices.len() * allocations.len()).saturating_mul(seeds.iter().count());
     let all = u64::from(arguments.episodes).saturating_mul(evaluations as u64);
     let bar = terminal::bar(arguments.common, all, "episodes");
     let mut counted = CountedEpisodes { bar: &bar, next: &mut () };
     for choice in choices {
+        if learned.method.subtasks().is_some() {
+            ScenarioSetName::parse_with_subtasks(&choice.to_string())?;
+        }
         let environment = learned.open_as(&choice)?;
         sizes.push(environment.spec().shape);
-        let play = |seed| {
-            let (mut team, episodes) = (learned.method.team(), arguments.episodes as usize);
-            play::evaluate_watched(&*environment, &mut *team, episodes, seed, &mut counted)
-        };
-        let parts: Vec<Evaluation> = seeds.iter().map(play).collect::<Result<_, _>>()?;
-        let evaluation = Evaluation::pooled(&parts);
-        measured.push(Measured { set: choice.set, allocation: "none".to_owned(), evaluation });
+        for allocation in &allocations {
+            let mut play = |seed| -> Result<Evaluation, Failure> {
+                let mut team = team_under(&learned, allocation)?;
+                let episodes = arguments.episodes as usize;
+                let played =
+                    evaluate_watched(&*environment, &mut *team, episodes, seed, &mut counted);
+                Ok(played?)
+            };
+            let parts = seeds.iter().map(&mut play).collect::<Result<Vec<_>, _>>()?;
+            let (set, allocation) = (choice.set.clone(), (*allocation).to_owned());
+            measured.push(Measured { set, allocation, evaluation: Evaluation::pooled(&parts) });
+        }
     }
     bar.finish_and_clear();
     let run = MethodRun {
@@ -179,6 +165,29 @@ fn export_method(arguments: &ExportArguments, learned: &LearnedMethod) -> Outcom
     write(arguments, draft_method(&run, &arguments.run, &sizes, &measured, seed)?)
 }
 
+/// Whom the agents are measured under: their own allocator, if they have one, and the rules.
+fn allocations(learned: &LearnedMethod) -> Vec<&'static str> {
+    let Some(subtasks) = learned.method.subtasks() else { return vec!["none"] };
+    let own = subtasks.allocator.map(|_| LEARNED);
+    own.into_iter().chain(RULES).collect()
+}
+
+/// The agents under one of these.
+fn team_under<'a>(
+    learned: &'a LearnedMethod,
+    allocation: &str,
+) -> Result<Box<dyn Act + 'a>, Failure> {
+    let Some(mut subtasks) = learned.method.subtasks() else { return Ok(learned.method.team()) };
+    let allocator: Box<dyn Allocate + 'a> = match subtasks.allocator.take() {
+        Some(mut own) if allocation == LEARNED => {
+            own.allocate.choose_among(ProposalArguments::default().count());
+            own.allocate
+        }
+        _ => Box::new(Allocation::named(allocation)?.measured()),
+    };
+    Ok(Box::new(subtasks.under(allocator)))
+}
+
 /// Refuses a place that a bundle cannot be written to, before anything is measured.
 fn check_place(out: &Path) -> Outcome {
     if out.exists() {
@@ -188,42 +197,6 @@ fn check_place(out: &Path) -> Outcome {
     folder.map_or(Ok(()), |folder| {
         check_folder(folder).map_err(|error| Failure::file(folder, &error))
     })
-}
-
-/// The scenario sets to measure on.
-fn sets(arguments: &ExportArguments, run: &Run) -> Result<Vec<ScenarioSetName>, Failure> {
-    if arguments.env.is_empty() {
-        let own = run.description.config.environment.to_string();
-        return Ok(vec![ScenarioSetName::parse_with_subtasks(&own)?]);
-    }
-    arguments.env.iter().map(|name| ScenarioSetName::parse_with_subtasks(name)).collect()
-}
-
-/// Measures the run's agents under its own allocator and under the rules.
-fn measure(
-    run: &Run,
-    (set, plans): (&str, &[EvaluationPlan<'_>]),
-    bar: &ProgressBar,
-    measured: &mut Vec<Measured>,
-) -> Outcome {
-    let mut add = |name: &str, allocator: &mut dyn Allocate| -> Outcome {
-        let mut parts = Vec::new();
-        for plan in plans {
-            let mut counted = CountedEpisodes { bar, next: &mut () };
-            parts.push(evaluate_watched(plan, &mut run.team(), allocator, &mut counted)?);
-        }
-        let evaluation = Evaluation::pooled(&parts);
-        let (set, allocation) = (set.to_owned(), name.to_owned());
-        measured.push(Measured { set, allocation, evaluation });
-        Ok(())
-    };
-    if let Some(mut allocator) = run.learned_allocator(ProposalArguments::default().count()) {
-        add("learned", &mut *allocator)?;
-    }
-    for name in RULES {
-        add(name, &mut Allocation::named(name)?.measured())?;
-    }
-    Ok(())
 }
 
 /// Golden observations are drawn from rounds of so many episodes, until there are enough.
@@ -379,13 +352,8 @@ impl Exported {
             for seed in seeds.iter() {
                 let (mut team, episodes) =
                     (PolicyTeam::new(&mut *policy), arguments.episodes as usize);
-                let played = play::evaluate_watched(
-                    &**environment,
-                    &mut team,
-                    episodes,
-                    seed,
-                    &mut counted,
-                )?;
+                let played =
+                    evaluate_watched(&**environment, &mut team, episodes, seed, &mut counted)?;
                 parts.push(played);
             }
             let evaluation = Evaluation::pooled(&parts);
@@ -404,6 +372,6 @@ fn card(set: &ScenarioSetName, measured: &[Measured]) -> String {
          ## How well it does\n\n\
          Greedy episodes. The interval is that of the episodes.\n\n\
          {}",
-        measured_table(measured)
+        measured_table(measured, None)
     )
 }

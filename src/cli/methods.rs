@@ -3,12 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use sortie_bundle::{MANIFEST, TRAINING};
 use sortie_envs::{ENVIRONMENTS, Entry, Environment, Split};
 use sortie_learn::run::{RunDescription, method_of, read_description};
 use sortie_learn::session::{EnvironmentChoice, MethodEntry, Opening, Parts, Setup, load_weights};
 use sortie_learn::{LearnError, Method};
-use sortie_methods::{METHODS, alma};
+use sortie_methods::METHODS;
 
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
@@ -22,20 +21,29 @@ pub struct LearnedMethod {
 }
 
 impl LearnedMethod {
-    /// Opens a folder, if a run is in it whose team plays anywhere.
-    pub fn find(folder: &Path) -> Result<Option<Self>, Failure> {
-        if folder.join(MANIFEST).exists() || !folder.join(TRAINING).exists() {
-            return Ok(None);
-        }
+    /// Opens the run in a folder.
+    pub fn open(folder: &Path) -> Result<Self, Failure> {
+        Self::open_with(folder, |_, setup| setup)
+    }
+
+    /// The same under a setup that differs in what is used, not in what was learned.
+    pub fn open_with(
+        folder: &Path,
+        change: impl FnOnce(&MethodEntry, Setup) -> Setup,
+    ) -> Result<Self, Failure> {
         let name = method_of(folder)?;
-        let Some(entry) = sortie_methods::find(&name) else { return Ok(None) };
-        if alma::METHODS.iter().any(|other| other.name == name) {
-            return Ok(None);
-        }
-        let description = read_description(folder)?;
+        let unknown = || {
+            let known: Vec<&str> = METHODS.iter().map(|entry| entry.name).collect();
+            let (folder, known) = (folder.display(), known.join(", "));
+            let reason = format!("{folder} learned by `{name}`, which is none of: {known}");
+            Failure::new(Exit::BadData, reason)
+        };
+        let entry = sortie_methods::find(&name).ok_or_else(unknown)?;
+        let mut description = read_description(folder)?;
+        description.config = change(entry, description.config);
         let (environment, mut method) = open(entry, &description, 1)?;
         warn_of_refused(&load_weights(folder, &mut *method)?);
-        Ok(Some(Self { description, environment, method }))
+        Ok(Self { description, environment, method })
     }
 
     /// Where it is to be measured: in the environments that are named, else where it learned.
@@ -51,9 +59,14 @@ impl LearnedMethod {
         names.iter().map(chosen).collect()
     }
 
-    /// An environment to play in, whose rows and actions have to be those that the agents learned with.
+    /// An environment to play in, whose rows and actions have to be those that the agents learned with. Agents with
+    /// subtasks play by its usual rules, as their bundle does.
     pub fn open_as(&self, choice: &EnvironmentChoice) -> Result<Box<dyn Environment>, Failure> {
-        let environment = open_environment(choice)?;
+        let mut rules = choice.clone();
+        if self.method.subtasks().is_some() {
+            rules.settings.clear();
+        }
+        let environment = open_environment(&rules)?;
         let (known, spec) = (self.environment.spec(), environment.spec());
         if known.features == spec.features && known.actions == spec.actions {
             return Ok(environment);

@@ -3,37 +3,25 @@
 use std::path::Path;
 
 use sortie_bundle::{Bundle, MANIFEST, SubtaskConditioning, TRAINING};
-use sortie_envs::{Entry, Environment};
-use sortie_learn::run::read_description;
-use sortie_methods::alma::run::{Run, RunAllocator};
-use sortie_methods::alma::teams::{self, Allocate, NoSubtasks};
+use sortie_envs::{DecisionPoints, Entry, Environment, Split};
+use sortie_learn::subtasks::{self, Allocate, NoSubtasks};
 
 use crate::allocation::{Allocation, AllocatorChoice};
 use crate::allocator::{DeployedAllocator, ProposalArguments, none_learned};
 use crate::deployment::open_bundle;
-use crate::environment::ScenarioSetName;
+use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure};
-use crate::methods::open_environment;
-use crate::output::warn_of_refused;
+use crate::methods::{LearnedMethod, choose};
 use crate::policy::Backend;
 
 /// What is evaluated.
 pub enum Subject {
     /// A bundle, as deployed.
     Bundle(Box<Bundle>),
-    /// A training run: its averaged weights.
-    Run(Box<Run>),
+    /// A training run: its averaged weights, where its method averages.
+    Run(Box<LearnedMethod>),
     /// The environment's hand-written low level.
     Scripted,
-}
-
-/// A run of ALMA, and where it learned.
-pub fn open_run(folder: &Path) -> Result<(Run, Box<dyn Environment>), Failure> {
-    let description = read_description(folder)?;
-    let environment = open_environment(&description.config.environment)?;
-    let run = Run::open(folder, environment.spec())?;
-    warn_of_refused(&run.refused);
-    Ok((run, environment))
 }
 
 impl Subject {
@@ -46,7 +34,7 @@ impl Subject {
             return Ok(Self::Bundle(Box::new(open_bundle(path)?)));
         }
         if path.join(TRAINING).exists() {
-            return Ok(Self::Run(Box::new(open_run(path)?.0)));
+            return Ok(Self::Run(Box::new(LearnedMethod::open(path)?)));
         }
         let reason = if path.exists() {
             "is neither a bundle nor a training run: it has no `bundle.toml` and no `train.toml`"
@@ -56,10 +44,10 @@ impl Subject {
         Err(Failure::new(Exit::Missing, format!("`{}` {reason}", path.display())))
     }
 
-    /// Whether its agents look at subtasks; those of `flat` and `copa` do not.
+    /// Whether its agents look at subtasks.
     pub fn has_subtasks(&self) -> bool {
         match self {
-            Self::Run(run) => run.config.subtask().has_subtasks(),
+            Self::Run(run) => run.method.subtasks().is_some_and(|subtasks| subtasks.are_seen),
             Self::Bundle(bundle) => {
                 bundle.contract().subtask_conditioning != SubtaskConditioning::None
             }
@@ -71,8 +59,18 @@ impl Subject {
     pub fn has_allocator(&self) -> bool {
         match self {
             Self::Bundle(bundle) => bundle.has_allocator(),
-            Self::Run(run) => run.allocator.is_some(),
+            Self::Run(run) => run.method.subtasks().is_some_and(|it| it.allocator.is_some()),
             Self::Scripted => false,
+        }
+    }
+
+    /// Steps between decisions of who allocates its agents.
+    pub fn interval(&self) -> u32 {
+        let usual = DecisionPoints::ACTION_LENGTH;
+        match self {
+            Self::Bundle(bundle) => bundle.contract().decision_interval,
+            Self::Run(run) => run.method.subtasks().map_or(usual, |subtasks| subtasks.interval),
+            Self::Scripted => usual,
         }
     }
 
@@ -89,6 +87,19 @@ impl Subject {
             (None, Self::Scripted) => Ok(ScenarioSetName::default()),
         }
     }
+
+    /// A scenario set that it fits, opened.
+    pub fn open(&self, set: &ScenarioSetName) -> Result<Box<dyn Environment>, Failure> {
+        match self {
+            Self::Bundle(bundle) => check_fits(bundle, set).and_then(|()| set.open(Split::Test)),
+            Self::Run(run) => {
+                let mut choice = run.description.config.environment.clone();
+                choose(&mut choice, &set.to_string())?;
+                run.open_as(&choice)
+            }
+            Self::Scripted => set.open(Split::Test),
+        }
+    }
 }
 
 /// The memory of an allocator.
@@ -96,8 +107,8 @@ pub enum SubjectAllocator<'a> {
     /// Of a team that knows of no subtasks.
     Nobody,
     Rule(Allocation),
-    /// A run's, with the trainer's own forward pass.
-    Run(&'a Run, ProposalArguments),
+    /// A run's, by the method's own pass.
+    Run(Box<dyn Allocate + 'a>),
     /// A bundle's, as deployed.
     Bundle(DeployedAllocator),
 }
@@ -140,17 +151,18 @@ impl<'a> SubjectAllocator<'a> {
             proposals.check_unused()?;
             return Ok(Self::Rule(rule));
         }
-        let owner = owner.filter(|owner| owner.has_allocator());
-        match owner {
+        match owner.filter(|owner| owner.has_allocator()) {
             Some(Subject::Bundle(bundle)) => {
                 let learned = AllocatorChoice::Learned;
                 DeployedAllocator::open(bundle, learned, backend, seed, proposals).map(Self::Bundle)
             }
             Some(Subject::Run(run)) => {
-                if !matches!(run.allocator, Some(RunAllocator::Proposals { .. })) {
+                let learned = run.method.subtasks().and_then(|subtasks| subtasks.allocator);
+                let mut allocate = learned.ok_or_else(|| none_learned(name))?.allocate;
+                if !allocate.choose_among(proposals.count()) {
                     proposals.check_unused()?;
                 }
-                Ok(Self::Run(run, proposals))
+                Ok(Self::Run(allocate))
             }
             Some(Subject::Scripted) | None => Err(none_learned(name)),
         }
@@ -166,10 +178,8 @@ impl<'a> SubjectAllocator<'a> {
         Ok(match self {
             Self::Nobody => Box::new(NoSubtasks),
             Self::Rule(rule) => Box::new(rule.measured()),
-            Self::Run(run, proposals) => {
-                run.learned_allocator(proposals.count()).ok_or_else(|| none_learned("the run"))?
-            }
-            Self::Bundle(memory) => Box::new(teams::DeployedAllocator(memory.allocator()?)),
+            Self::Run(allocate) => Box::new(allocate.as_mut()),
+            Self::Bundle(memory) => Box::new(subtasks::DeployedAllocator(memory.allocator()?)),
         })
     }
 }

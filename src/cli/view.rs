@@ -130,16 +130,18 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
     if arguments.policy.is_some() {
         return Err(usage("--policy is for recorded episodes; name the run or bundle itself"));
     }
-    if let Some(learned) = LearnedMethod::find(&arguments.subject)? {
-        return learned_page(arguments, &learned);
-    }
     let subject = Subject::find(&arguments.subject)?;
+    if let Subject::Run(learned) = &subject
+        && learned.method.subtasks().is_none()
+    {
+        return learned_page(arguments, learned);
+    }
     let set = subject.scenario_set(arguments.env.as_deref())?;
     let view = view_of(set.entry().name);
     view.played(&Wanted { set: Some(set), ..wanted(arguments) }, &subject)
 }
 
-/// The page of a run of a method that learns in any environment.
+/// The page of a run whose agents have no subtasks.
 fn learned_page(arguments: &ViewArguments, learned: &LearnedMethod) -> Result<Page, Failure> {
     if let Some(asked) = arguments.allocation {
         return Err(asked.of_no_use());

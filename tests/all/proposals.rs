@@ -9,8 +9,7 @@ use sortie_bundle::{AGENT, Bundle, Draft, GoldenAllocation, MIN_CASES, PROPOSAL_
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::plan::{AlignedBytes, Plan, Profile};
 use sortie_core::{Allocator, UNASSIGNED};
-use sortie_methods::alma::export::export_proposals;
-use sortie_methods::alma::windows::allocation::{AllocationShape, CriticWeights, PolicyWeights};
+use sortie_methods::proposals::{AllocationShape, CriticWeights, PolicyWeights, export_proposals};
 use sortie_plans::{BundlePlans, CompilerProcess};
 
 use crate::support::{BUNDLE, json};

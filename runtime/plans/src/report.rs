@@ -1,7 +1,7 @@
 //! What a compiler is told, and what it tells of the plan that it made.
 
 use serde::{Deserialize, Serialize};
-use sortie_core::internal::ops::{Flag, Meaning, Members, OpRef, OutputRows};
+use sortie_core::internal::ops::{Flag, Meaning, Members, OpRef, OutputRows, Targets};
 use sortie_core::limits;
 use sortie_core::plan::{Profile, Program};
 
@@ -134,6 +134,14 @@ fn detail(op: OpRef<'_>) -> String {
         let (skip, relu) = (if skips { ", skip" } else { "" }, relu(is_relu));
         format!("[N, {width}] -> [{outputs}], {}{skip}{relu}", heads(count))
     };
+    let point = |targets: &Targets| {
+        format!(
+            "[N, {}] -> [{}] of [{}]",
+            targets.width,
+            targets.count,
+            targets.untargeted + targets.count
+        )
+    };
     match op {
         OpRef::EmbedEntities(op) => rows(op.layer.inputs, op.layer.outputs, op.relu),
         OpRef::AttendOwn(op) => own([op.width, op.output.outputs, op.heads], op.skips(), op.relu),
@@ -158,6 +166,8 @@ fn detail(op: OpRef<'_>) -> String {
             own([op.width, op.output.outputs, op.heads], op.skips(), op.relu)
         }
         OpRef::Int8Dense(op) => layer(op.layer.inputs, op.layer.outputs, op.relu),
+        OpRef::PointAtEntities(op) => point(&op.targets),
+        OpRef::Int8PointAtEntities(op) => point(&op.targets),
         OpRef::EmbedTasks(op) => {
             let (features, tasks) = (op.embed.inputs, op.tasks.count);
             format!("[N, {features}] -> [N, {0}], [{tasks}, {0}]", op.embed.outputs)

@@ -1,7 +1,7 @@
 //! `sortie eval`: how good is a team, over fresh greedy episodes?
 
 mod attention;
-mod method;
+mod plain;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -9,19 +9,18 @@ use std::path::PathBuf;
 use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
-use sortie_envs::{Spec, Split};
+use sortie_envs::{Environment, Spec};
+use sortie_learn::Act;
 use sortie_learn::evaluate::Evaluation;
-use sortie_learn::play::Onlooker;
-use sortie_methods::alma::evaluate::{EvaluationPlan, Planner, PlannerReport, evaluate_watched};
-use sortie_methods::alma::teams::{Allocate, PolicyTeam, ScriptedActors, Team};
+use sortie_learn::play::{Onlooker, Planner, PlannerReport, evaluate_watched};
+use sortie_learn::subtasks::{Agents, Allocate, AllocatedTeam, PolicyAgents, ScriptedAgents};
 
-use self::method::{flat_bundle, play_bundle, play_method, play_script};
+use self::attention::Attention;
 use crate::allocation::AllocatorChoice;
 use crate::allocator::ProposalArguments;
-use crate::environment::{self, ScenarioSetName};
+use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::{EpisodeWriter, Kind, RecordingPolicy, try_output};
-use crate::methods::LearnedMethod;
 use crate::output::{Common, Table, plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy, PlanProfile};
 use crate::seeds::SeedRange;
@@ -92,7 +91,9 @@ pub(crate) struct EvalArguments {
 struct Report<'a> {
     env: &'a str,
     subject: &'a str,
-    allocation: &'a str,
+    /// Absent where agents have no subtasks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    allocation: Option<&'a str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     allocator: Option<&'a str>,
     /// Absent where there are several.
@@ -104,87 +105,69 @@ struct Report<'a> {
     evaluation: &'a Evaluation,
     #[serde(skip_serializing_if = "Option::is_none")]
     planner: Option<PlannerReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attention: Option<&'a Attention>,
 }
 
 /// How far seeds lie apart.
 #[derive(Serialize)]
-pub(super) struct BySeed {
+struct BySeed {
     success: BTreeMap<u64, f64>,
     success_sd: f64,
     returns: BTreeMap<u64, f64>,
     returns_sd: f64,
 }
 
-/// What was measured, who allocated, and what the planner did if there was one.
+/// What was measured, seed by seed, and whatever else is told of it.
+#[derive(Default)]
 struct Played {
-    evaluation: Evaluation,
-    allocation: &'static str,
+    evaluations: Vec<(u64, Evaluation)>,
+    /// Who allocated; nothing where agents have no subtasks.
+    allocation: Option<&'static str>,
+    /// What the planner did with the last seed, if there was one.
     planner: Option<PlannerReport>,
+    attention: Option<Attention>,
 }
 
 /// What plays, whatever the seed.
 struct Match<'a> {
     arguments: &'a EvalArguments,
     subject: Subject,
-    /// Whose allocator takes the place of the subject's.
-    other: Option<Subject>,
     set: ScenarioSetName,
+    environment: Box<dyn Environment>,
     bar: ProgressBar,
 }
 
 pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     arguments.backend.prepare()?;
-    if let Some(learned) = LearnedMethod::find(&arguments.subject)? {
-        return play_method(arguments, &learned);
-    }
-    if arguments.attention {
+    let subject = Subject::find(&arguments.subject)?;
+    let set = subject.scenario_set(arguments.env.as_deref())?;
+    let is_allocated = match &subject {
+        Subject::Run(run) => run.method.subtasks().is_some(),
+        Subject::Bundle(_) => subject.has_subtasks(),
+        Subject::Scripted => set.has_subtasks()?,
+    };
+    if arguments.attention && (is_allocated || !matches!(subject, Subject::Run(_))) {
         let reason = "`--attention` tells of critics, which are not deployed; name a run of `maac`";
         return Err(Failure::new(Exit::Usage, reason));
     }
-    if let Some(bundle) = flat_bundle(&arguments.subject)? {
-        return play_bundle(arguments, &bundle);
+    if is_allocated {
+        set.check_subtasks()?;
+    } else {
+        plain::check(arguments)?;
     }
-    let subject = Subject::find(&arguments.subject)?;
     check(arguments, &subject)?;
     if let Some(file) = &arguments.dump {
         try_output(file, Kind::Observations)?;
     }
-    let set = subject.scenario_set(arguments.env.as_deref())?;
-    if matches!(subject, Subject::Scripted) && !set.has_subtasks()? {
-        return play_script(arguments, &set);
-    }
-    set.check_subtasks()?;
-    let other = arguments.allocator.as_deref().map(Subject::find).transpose()?;
+    let environment = subject.open(&set)?;
     let seeds = arguments.seeds.unwrap_or(SeedRange::only(arguments.common.seed));
     let episodes = u64::from(arguments.episodes).saturating_mul(seeds.iter().count() as u64);
     let bar = terminal::bar(arguments.common, episodes, "episodes");
-    let playing = Match { arguments, subject, other, set, bar };
-    let played = seeds.iter().map(|seed| Ok((seed, playing.play(seed)?)));
-    let mut played: Vec<(u64, Played)> = played.collect::<Result<_, Failure>>()?;
+    let playing = Match { arguments, subject, set, environment, bar };
+    let played = if is_allocated { playing.play_allocated(seeds) } else { playing.play(seeds) }?;
     playing.bar.finish_and_clear();
-    let by_seed = arguments
-        .seeds
-        .map(|_| BySeed::of(played.iter().map(|(seed, one)| (*seed, &one.evaluation))));
-    let parts: Vec<Evaluation> = played.iter().map(|(_, one)| one.evaluation.clone()).collect();
-    let Some((_, mut last)) = played.pop() else { return Ok(()) };
-    if by_seed.is_some() {
-        last.evaluation = Evaluation::pooled(&parts);
-    }
-    if arguments.common.json {
-        print_json(&Report {
-            env: &playing.set.to_string(),
-            subject: &arguments.subject.to_string_lossy(),
-            allocation: last.allocation,
-            allocator: arguments.allocator.as_ref().map(|path| path.to_string_lossy()).as_deref(),
-            seed: by_seed.is_none().then_some(arguments.common.seed),
-            seeds: by_seed.as_ref(),
-            evaluation: &last.evaluation,
-            planner: last.planner,
-        });
-    } else {
-        let environment = playing.set.open(Split::Test)?;
-        print(&playing, &last, environment.spec(), by_seed.as_ref());
-    }
+    playing.report(&played);
     Ok(())
 }
 
@@ -212,10 +195,11 @@ fn check(arguments: &EvalArguments, subject: &Subject) -> Outcome {
 }
 
 impl BySeed {
-    fn of<'a>(evaluations: impl Iterator<Item = (u64, &'a Evaluation)>) -> Self {
+    fn of(evaluations: &[(u64, Evaluation)]) -> Self {
         let figures =
-            |(seed, one): (u64, &Evaluation)| ((seed, one.success), (seed, one.return_mean));
-        let (success, returns): (BTreeMap<_, _>, BTreeMap<_, _>) = evaluations.map(figures).unzip();
+            |(seed, one): &(u64, Evaluation)| ((*seed, one.success), (*seed, one.return_mean));
+        let (success, returns): (BTreeMap<_, _>, BTreeMap<_, _>) =
+            evaluations.iter().map(figures).unzip();
         Self { success_sd: sd(&success), returns_sd: sd(&returns), success, returns }
     }
 }
@@ -228,13 +212,28 @@ fn sd(by_seed: &BTreeMap<u64, f64>) -> f64 {
 }
 
 impl Match<'_> {
-    /// Plays the episodes of one seed.
-    fn play(&self, seed: u64) -> Result<Played, Failure> {
-        let Self { arguments, subject, other, set, .. } = self;
-        let environment = set.open(Split::Test)?;
-        let plan = EvaluationPlan::new(&*environment, arguments.episodes as usize, seed);
-        let asked = other.as_ref().map(|_| AllocatorChoice::Learned).or(arguments.allocation);
-        let owner = other.as_ref().unwrap_or(subject);
+    /// Plays the episodes of these seeds, with agents that are allocated.
+    fn play_allocated(&self, seeds: SeedRange) -> Result<Played, Failure> {
+        // Whose allocator takes the place of the subject's.
+        let other = self.arguments.allocator.as_deref().map(Subject::find).transpose()?;
+        let mut played = Played::default();
+        for seed in seeds.iter() {
+            let evaluation = self.play_seed(seed, other.as_ref(), &mut played)?;
+            played.evaluations.push((seed, evaluation));
+        }
+        Ok(played)
+    }
+
+    /// Opens agents and allocator, and plays the episodes of one seed.
+    fn play_seed(
+        &self,
+        seed: u64,
+        other: Option<&Subject>,
+        played: &mut Played,
+    ) -> Result<Evaluation, Failure> {
+        let Self { arguments, subject, set, .. } = self;
+        let asked = other.map(|_| AllocatorChoice::Learned).or(arguments.allocation);
+        let owner = other.unwrap_or(subject);
         let name = arguments.allocator.as_ref().unwrap_or(&arguments.subject).to_string_lossy();
         let draws = (arguments.proposals, seed);
         let (allocation, mut allocator) = subject::open_for(
@@ -245,26 +244,33 @@ impl Match<'_> {
             arguments.backend,
             draws,
         )?;
+        played.allocation = Some(allocation);
         if let (Subject::Bundle(bundle), true) = (owner, allocator.is_deployed()) {
-            environment::check_fits(bundle, set)?;
+            check_fits(bundle, set)?;
         }
-        let mut allocator = allocator.allocator()?;
-        let mut play = |team: &mut dyn Team| self.watch(&plan, team, &mut *allocator, allocation);
+        let allocator = allocator.allocator()?;
         match subject {
-            Subject::Scripted => play(&mut ScriptedActors::new(seed)),
-            Subject::Run(run) => play(&mut run.team()),
+            Subject::Scripted => {
+                self.watch(Box::new(ScriptedAgents::new(seed)), allocator, seed, played)
+            }
+            Subject::Run(run) => {
+                let subtasks = run.method.subtasks();
+                let agents = subtasks.expect("its agents are allocated").agents;
+                self.watch(agents, allocator, seed, played)
+            }
             Subject::Bundle(bundle) => {
-                environment::check_fits(bundle, set)?;
                 let profile = arguments.profile.profile();
                 let mut policy = DeployedPolicy::open_as(bundle, arguments.backend, profile)?;
                 let mut policy = policy.policy()?;
                 let Some(file) = &arguments.dump else {
-                    return play(&mut PolicyTeam::new(policy.as_mut()));
+                    let agents = Box::new(PolicyAgents::new(policy.as_mut()));
+                    return self.watch(agents, allocator, seed, played);
                 };
                 let mut recorder = RecordingPolicy::new(policy.as_mut(), bundle);
-                let played = play(&mut PolicyTeam::new(&mut recorder))?;
+                let agents = Box::new(PolicyAgents::new(&mut recorder));
+                let evaluation = self.watch(agents, allocator, seed, played)?;
                 recorder.write(file)?;
-                Ok(played)
+                Ok(evaluation)
             }
         }
     }
@@ -272,63 +278,95 @@ impl Match<'_> {
     /// Has a planner look ahead where that is wanted.
     fn watch(
         &self,
-        plan: &EvaluationPlan<'_>,
-        team: &mut dyn Team,
-        allocator: &mut dyn Allocate,
-        allocation: &'static str,
-    ) -> Result<Played, Failure> {
+        agents: Box<dyn Agents + '_>,
+        allocator: Box<dyn Allocate + '_>,
+        seed: u64,
+        played: &mut Played,
+    ) -> Result<Evaluation, Failure> {
+        let allocation = played.allocation.unwrap_or("none");
+        let mut team = AllocatedTeam::new(agents, allocator, self.subject.interval());
         let Some(candidates) = self.arguments.plan else {
-            let evaluation = self.record(plan, team, allocator, allocation)?;
-            return Ok(Played { evaluation, allocation, planner: None });
+            return self.record(&mut team, allocation, seed);
         };
-        let mut planner = Planner::new(plan, allocator, candidates.into());
-        let label = format!("planned from {allocation}");
-        let evaluation = self.record(plan, team, &mut planner, &label)?;
-        Ok(Played { evaluation, allocation, planner: Some(planner.report()) })
+        let mut planner = Planner::new(team, &*self.environment, candidates.into(), seed);
+        let evaluation = self.record(&mut planner, &format!("planned from {allocation}"), seed)?;
+        played.planner = Some(planner.report());
+        Ok(evaluation)
     }
 
     /// Plays, and writes the episodes to files where that is wanted.
     fn record(
         &self,
-        plan: &EvaluationPlan<'_>,
-        team: &mut dyn Team,
-        allocator: &mut dyn Allocate,
+        team: &mut dyn Act,
         allocation: &str,
+        seed: u64,
     ) -> Result<Evaluation, Failure> {
-        let mut counted = |next: &mut dyn Onlooker| {
-            evaluate_watched(plan, team, allocator, &mut CountedEpisodes { bar: &self.bar, next })
-        };
         let Some(folder) = &self.arguments.episodes_out else {
-            return Ok(counted(&mut ())?);
+            return self.evaluate(team, seed, &mut ());
         };
-        let subject = self.arguments.subject.to_string_lossy();
-        let mut writer =
-            EpisodeWriter::new(folder, self.set.entry(), (&subject, allocation), plan.seed)?;
-        Ok(counted(&mut writer)?)
+        let labels = (&*self.arguments.subject.to_string_lossy(), allocation);
+        let mut writer = EpisodeWriter::new(folder, self.set.entry(), labels, seed)?;
+        self.evaluate(team, seed, &mut writer)
     }
-}
 
-fn print(playing: &Match<'_>, played: &Played, spec: &Spec, by_seed: Option<&BySeed>) {
-    let Match { arguments, set, .. } = playing;
-    let Played { evaluation, allocation, planner } = played;
-    let under = match *allocation {
-        "none" => " without allocation".to_owned(),
-        name => format!(" under {name} allocation"),
-    };
-    let of = arguments.allocator.as_ref().map(|path| format!(" of {}", path.display()));
-    say!(
-        "{set}: {}{under}{}, {}",
-        arguments.subject.display(),
-        of.unwrap_or_default(),
-        plural(evaluation.episodes, "episode")
-    );
-    if let Some(PlannerReport { candidates, decisions, changed, .. }) = planner {
-        say!(
-            "planned with the exact simulator, {candidates} candidates: no learned policy, but a yardstick \
-             ({changed} of {decisions} decisions changed)"
-        );
+    /// Plays the episodes of a seed.
+    fn evaluate(
+        &self,
+        team: &mut dyn Act,
+        seed: u64,
+        onlooker: &mut dyn Onlooker,
+    ) -> Result<Evaluation, Failure> {
+        let mut counted = CountedEpisodes { bar: &self.bar, next: onlooker };
+        let episodes = self.arguments.episodes as usize;
+        Ok(evaluate_watched(&*self.environment, team, episodes, seed, &mut counted)?)
     }
-    print_tables(evaluation, spec, by_seed);
+
+    /// Prints what all seeds come to.
+    fn report(&self, played: &Played) {
+        let Self { arguments, set, .. } = self;
+        let Played { evaluations, allocation, planner, attention } = played;
+        let parts: Vec<Evaluation> = evaluations.iter().map(|(_, one)| one.clone()).collect();
+        let evaluation = match &parts[..] {
+            [one] => one.clone(),
+            parts => Evaluation::pooled(parts),
+        };
+        let by_seed = arguments.seeds.map(|_| BySeed::of(evaluations));
+        if arguments.common.json {
+            let allocator = arguments.allocator.as_ref().map(|path| path.to_string_lossy());
+            print_json(&Report {
+                env: &set.to_string(),
+                subject: &arguments.subject.to_string_lossy(),
+                allocation: *allocation,
+                allocator: allocator.as_deref(),
+                seed: by_seed.is_none().then_some(arguments.common.seed),
+                seeds: by_seed.as_ref(),
+                evaluation: &evaluation,
+                planner: *planner,
+                attention: attention.as_ref(),
+            });
+            return;
+        }
+        let under = match allocation {
+            None => String::new(),
+            Some("none") => " without allocation".to_owned(),
+            Some(name) => format!(" under {name} allocation"),
+        };
+        let of = arguments.allocator.as_ref().map(|path| format!(" of {}", path.display()));
+        say!(
+            "{set}: {}{under}{}, {}",
+            arguments.subject.display(),
+            of.unwrap_or_default(),
+            plural(evaluation.episodes, "episode")
+        );
+        if let Some(PlannerReport { candidates, decisions, changed, .. }) = planner {
+            say!(
+                "planned with the exact simulator, {candidates} candidates: no learned policy, but a yardstick \
+                 ({changed} of {decisions} decisions changed)"
+            );
+        }
+        print_tables(&evaluation, self.environment.spec(), by_seed.as_ref());
+        attention.iter().for_each(Attention::print);
+    }
 }
 
 fn print_tables(evaluation: &Evaluation, spec: &Spec, by_seed: Option<&BySeed>) {

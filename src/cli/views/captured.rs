@@ -8,12 +8,11 @@ use sortie_core::{DecideError, Decision, Observation, Policy};
 use sortie_envs::{Environment, Random, Split};
 use sortie_learn::play::{Onlooker, PolicyTeam, Watched, watch};
 use sortie_learn::{Act, LearnError, Scenes};
-use sortie_methods::alma::agents::NetworkPolicy;
 use sortie_plans::{AttentionLayers, AttentionProbe, roles_of};
 use sortie_stage::{Glance, Head, Show, Shown, rounded};
 
 use super::Wanted;
-use crate::environment::{Scripted, check_fits};
+use crate::environment::{check_fits, scripted};
 use crate::failure::{Exit, Failure};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::subject::Subject;
@@ -141,7 +140,8 @@ impl Act for Telling<'_> {
     }
 }
 
-fn told(thought: sortie_learn::Thought) -> Thought {
+/// A thought as pages have it.
+pub(super) fn told(thought: sortie_learn::Thought) -> Thought {
     let head = |sortie_learn::Head { name, pays, likes, acts }| Head {
         name,
         pays: rounded(pays),
@@ -166,14 +166,11 @@ pub(super) fn played<S: Show>(
     }
     let (env, world) = (set.to_string(), set.open(Split::Test)?);
     let captured = match subject {
-        Subject::Scripted => {
-            acted(wanted, &*world, &mut Scripted::of(&set, &*world, wanted.seed)?)?
-        }
+        Subject::Scripted => acted(wanted, &*world, &mut scripted(&set, &*world, wanted.seed)?)?,
         Subject::Bundle(bundle) => {
             check_fits(bundle, &set)?;
             let mut deployed = DeployedPolicy::open(bundle, Backend::Plan)?;
-            let mut mind = DeployedMind::new(bundle, deployed.team()?)?;
-            let mut diary = Diary::new(&mut mind);
+            let mut diary = Diary::new(bundle, deployed.team()?)?;
             let mut captured = acted(wanted, &*world, &mut PolicyTeam::new(&mut diary))?;
             captured.give_thoughts(diary.thoughts);
             captured
@@ -197,48 +194,30 @@ pub(super) fn acted<S: Show>(
     capture(world, (wanted.seed, wanted.episode), team)
 }
 
-/// A policy that also tells what it attends to.
-pub(super) trait Mind: Policy {
-    /// Every visible entity with its weights `[heads]`, once the utilities of the same observation
-    /// have been asked for.
-    fn attention(
-        &mut self,
-        observation: &Observation<'_>,
-    ) -> Result<Vec<(usize, Vec<f32>)>, DecideError>;
-}
-
-impl Mind for NetworkPolicy<'_> {
-    fn attention(
-        &mut self,
-        observation: &Observation<'_>,
-    ) -> Result<Vec<(usize, Vec<f32>)>, DecideError> {
-        let attention = NetworkPolicy::attention(self, observation);
-        Ok(attention.map(|(entity, weights)| (entity, weights.to_vec())).collect())
-    }
-}
-
 /// What tells whom a bundle's agents attend to; none where they attend to nobody that is known.
 pub(super) fn attention_of(bundle: &Bundle) -> Result<Option<AttentionLayers>, Failure> {
     let attends = bundle.options().is_none() && roles_of(bundle)?.is_none();
     Ok(attends.then(|| compiler().attention(bundle.agent_onnx())).transpose()?)
 }
 
-/// A bundle as deployed, with the attention read from its graph.
-pub(super) struct DeployedMind<'a> {
+/// Decides by a bundle as deployed and notes every thought, in the order of the decisions; with the attention read from its
+/// graph.
+pub(super) struct Diary<'a> {
     policy: Box<dyn Policy + 'a>,
     /// None where the network attends to nothing that is known.
     probe: Option<AttentionProbe>,
+    pub(super) thoughts: Vec<Thought>,
 }
 
-impl<'a> DeployedMind<'a> {
+impl<'a> Diary<'a> {
     pub(super) fn new(bundle: &Bundle, policy: Box<dyn Policy + 'a>) -> Result<Self, Failure> {
         let features = usize::from(bundle.contract().features);
         let probe = attention_of(bundle)?.map(|layers| AttentionProbe::new(layers, features));
-        Ok(Self { policy, probe })
+        Ok(Self { policy, probe, thoughts: Vec::new() })
     }
 }
 
-impl Policy for DeployedMind<'_> {
+impl Policy for Diary<'_> {
     fn actions(&self) -> usize {
         self.policy.actions()
     }
@@ -252,54 +231,10 @@ impl Policy for DeployedMind<'_> {
     }
 
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        self.policy.decide(observation)
-    }
-
-    fn begin_episode(&mut self) -> bool {
-        self.policy.begin_episode()
-    }
-}
-
-impl Mind for DeployedMind<'_> {
-    fn attention(
-        &mut self,
-        observation: &Observation<'_>,
-    ) -> Result<Vec<(usize, Vec<f32>)>, DecideError> {
+        let mut utilities = vec![0.0; self.policy.actions()];
+        self.policy.utilities(observation, &mut utilities)?;
         let attention = self.probe.as_ref().map(|probe| probe.by_entity(observation));
-        attention.unwrap_or_else(|| Ok(Vec::new()))
-    }
-}
-
-/// Decides by a mind and notes every thought, in the order of the decisions.
-pub(super) struct Diary<'a> {
-    mind: &'a mut dyn Mind,
-    pub(super) thoughts: Vec<Thought>,
-}
-
-impl<'a> Diary<'a> {
-    pub(super) fn new(mind: &'a mut dyn Mind) -> Self {
-        Self { mind, thoughts: Vec::new() }
-    }
-}
-
-impl Policy for Diary<'_> {
-    fn actions(&self) -> usize {
-        self.mind.actions()
-    }
-
-    fn utilities(
-        &mut self,
-        observation: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        self.mind.utilities(observation, utilities)
-    }
-
-    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        let mut utilities = vec![0.0; self.mind.actions()];
-        self.mind.utilities(observation, &mut utilities)?;
-        let attention = self.mind.attention(observation)?;
-        self.thoughts.push(Thought::new(&utilities, attention));
+        self.thoughts.push(Thought::new(&utilities, attention.transpose()?.unwrap_or_default()));
         masked_argmax(&utilities, observation.available)
     }
 }

@@ -8,8 +8,7 @@ use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::GumbelDraw;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{AllocationState, EntityMask};
-use sortie_methods::alma::export::export_proposals;
-use sortie_methods::alma::windows::allocation::{AllocationShape, CriticWeights, PolicyWeights};
+use sortie_methods::proposals::{AllocationShape, CriticWeights, PolicyWeights, export_proposals};
 use sortie_plans::{CompileError, CompileOptions, Compiler, DrawnProposals, ProposalFiles};
 
 use super::rounds::{alternate_long, engine, our_engine};

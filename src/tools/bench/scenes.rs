@@ -8,10 +8,9 @@ use sortie_cli::failure::Failure;
 use sortie_cli::files::RecordingPolicy;
 use sortie_cli::output::tell;
 use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask, Observation, Policy};
-use sortie_envs::Split;
-use sortie_learn::play;
-use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
-use sortie_methods::alma::teams::{DeployedAllocator, PolicyTeam};
+use sortie_envs::{DecisionPoints, Split};
+use sortie_learn::play::{PolicyTeam, evaluate};
+use sortie_learn::subtasks::{Allocate, AllocatedTeam, DeployedAllocator, PolicyAgents};
 
 /// The set with the largest teams that are measured, of the environment of another set.
 pub(super) fn large_set(own: &ScenarioSetName) -> Result<ScenarioSetName, Failure> {
@@ -29,10 +28,9 @@ pub(super) fn record(
     seed: u64,
 ) -> Result<Recording, Failure> {
     let environment = set.open(Split::Test)?;
-    let plan = EvaluationPlan::new(&*environment, EPISODES, seed);
     let mut recorder = RecordingPolicy::new(policy, bundle);
-    let mut rule = Allocation::named("coordinated")?.measured();
-    evaluate(&plan, &mut PolicyTeam::new(&mut recorder), &mut rule)?;
+    let rule = Box::new(Allocation::named("coordinated")?.measured());
+    evaluate(&*environment, &mut allocated(&mut recorder, rule), EPISODES, seed)?;
     Ok(recorder.into_recording())
 }
 
@@ -45,7 +43,7 @@ pub(super) fn record_without_subtasks(
 ) -> Result<Recording, Failure> {
     let environment = set.open(Split::Test)?;
     let mut recorder = RecordingPolicy::new(policy, bundle);
-    play::evaluate(&*environment, &mut play::PolicyTeam::new(&mut recorder), EPISODES, seed)?;
+    evaluate(&*environment, &mut PolicyTeam::new(&mut recorder), EPISODES, seed)?;
     Ok(recorder.into_recording())
 }
 
@@ -57,11 +55,20 @@ pub(super) fn allocation_states(
     seed: u64,
 ) -> Result<Vec<OwnedAllocationState>, Failure> {
     let environment = set.open(Split::Test)?;
-    let plan = EvaluationPlan::new(&*environment, EPISODES, seed);
     let mut states = Vec::new();
-    let diary = Diary { allocator, states: &mut states };
-    evaluate(&plan, &mut PolicyTeam::new(policy), &mut DeployedAllocator(Box::new(diary)))?;
+    let diary = Box::new(Diary { allocator, states: &mut states });
+    let allocator = Box::new(DeployedAllocator(diary));
+    evaluate(&*environment, &mut allocated(policy, allocator), EPISODES, seed)?;
     Ok(states)
+}
+
+/// Agents by a policy, allocated as usual.
+fn allocated<'a>(
+    policy: &'a mut dyn Policy,
+    allocator: Box<dyn Allocate + 'a>,
+) -> AllocatedTeam<'a> {
+    let agents = Box::new(PolicyAgents::new(policy));
+    AllocatedTeam::new(agents, allocator, DecisionPoints::ACTION_LENGTH)
 }
 
 /// An allocator that keeps what it is asked.

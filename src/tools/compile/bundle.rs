@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use serde::Serialize;
-use sortie_bundle::{Bundle, SubtaskConditioning, hex};
+use sortie_bundle::{Bundle, hex};
 use sortie_cli::allocator::ProposalArguments;
 use sortie_cli::deployment::open_bundle;
 use sortie_cli::environment::{ScenarioSetName, check_fits};
@@ -20,10 +20,10 @@ use sortie_cli::{subject, terminal};
 use sortie_core::Policy;
 use sortie_core::plan::{AlignedBytes, Profile};
 use sortie_envs::{Environment, Split};
+use sortie_learn::Act;
 use sortie_learn::evaluate::Evaluation;
-use sortie_learn::play;
-use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate_watched};
-use sortie_methods::alma::teams::PolicyTeam;
+use sortie_learn::play::{PolicyTeam, evaluate_watched};
+use sortie_learn::subtasks::{AllocatedTeam, PolicyAgents};
 use sortie_plans::{
     AgentPlans, CompileError, CompileOptions, Compiled, LARGEST_DEVIATION, LEAST_AGREEMENT,
     LEAST_OBSERVATIONS, PolicyAgreement, ProofCase, Quantised, QuantisedPolicy, RecordedCase,
@@ -194,20 +194,20 @@ impl Playing {
         bar: &indicatif::ProgressBar,
     ) -> Result<Evaluation, Failure> {
         let mut counted = CountedEpisodes { bar, next: &mut () };
-        if self.bundle.contract().subtask_conditioning == SubtaskConditioning::None {
-            let mut team = play::PolicyTeam::new(policy);
-            let played =
-                play::evaluate_watched(&*self.environment, &mut team, episodes, seed, &mut counted);
-            return Ok(played?);
+        let mut play = |team: &mut dyn Act| {
+            evaluate_watched(&*self.environment, team, episodes, seed, &mut counted)
+        };
+        if !self.subject.has_subtasks() {
+            return Ok(play(&mut PolicyTeam::new(policy))?);
         }
         let name = self.bundle.folder().to_string_lossy();
         let draws = (ProposalArguments::default(), seed);
         let team = (&self.subject, self.set.entry());
         let opened = subject::open_for(team, None, &self.subject, &name, Backend::Plan, draws);
         let (_, mut allocator) = opened?;
-        let plan = EvaluationPlan::new(&*self.environment, episodes, seed);
-        let (mut team, mut allocator) = (PolicyTeam::new(policy), allocator.allocator()?);
-        Ok(evaluate_watched(&plan, &mut team, &mut *allocator, &mut counted)?)
+        let agents = Box::new(PolicyAgents::new(policy));
+        let interval = self.subject.interval();
+        Ok(play(&mut AllocatedTeam::new(agents, allocator.allocator()?, interval))?)
     }
 }
 

@@ -186,6 +186,10 @@ impl Laws {
             require(possible && (agent < agents || *available == 1), || {
                 format!("agent {agent} may do {available:b}")
             })?;
+            let blind = unseen_target(&self.spec, seen, agent);
+            require(blind.is_none(), || {
+                format!("agent {agent} may aim at entity {blind:?}, which it does not observe")
+            })?;
         }
         self.check_parts(state)
     }
@@ -221,5 +225,53 @@ impl Laws {
     fn random_actions(&self, random: &mut Random) -> Vec<u16> {
         let choose = |set: &u64| member(random, (*set).into()).unwrap_or(0) as u16;
         self.seen.available.iter().map(choose).collect()
+    }
+}
+
+/// An entity that an agent may aim at and does not observe.
+fn unseen_target(spec: &Spec, seen: &Observation, agent: usize) -> Option<usize> {
+    let observed = seen.observable[agent] & seen.present;
+    let mut targets =
+        members(seen.available[agent].into()).filter_map(|action| spec.target_of(action));
+    targets.find(|target| observed >> target & 1 == 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::spec::{Shape, SpecError};
+
+    /// Two actions that aim at nobody, then one for each of the entities 1 to 3.
+    fn spec() -> Spec {
+        let shape = Shape { agents: 2, entities: 4, tasks: 0, actions: 5, features: 1 };
+        let names = |count: usize| (0..count).map(|index| index.to_string()).collect();
+        Spec { shape, features: names(1), actions: names(5), targets: 1..4, ..Spec::default() }
+    }
+
+    #[test]
+    fn aimed_actions_are_the_last_ones_and_aim_at_entities() {
+        assert_eq!(spec().check(), Ok(()));
+        let targets = [0, 1, 2, 3, 4, 5].map(|action| spec().target_of(action));
+        assert_eq!(targets, [None, None, Some(1), Some(2), Some(3), None]);
+        let refused = |targets| Spec { targets, ..spec() }.check().unwrap_err();
+        let what = "entities up to the last target";
+        assert_eq!(refused(2..5), SpecError::Size { what, found: 5, least: 0, most: 4 });
+        let crowded = Spec { shape: Shape { actions: 3, ..spec().shape }, ..spec() };
+        let crowded = Spec { actions: spec().actions[..3].to_vec(), ..crowded };
+        let what = "aimed actions";
+        assert_eq!(crowded.check(), Err(SpecError::Size { what, found: 3, least: 0, most: 2 }));
+    }
+
+    #[test]
+    fn nobody_aims_at_what_it_does_not_observe() {
+        let mut seen = Observation::new(&spec().shape);
+        seen.present = 0b1111;
+        seen.observable = vec![0b0111, 0b1111];
+        seen.available = vec![0b01101, 0b11111];
+        assert_eq!([0, 1].map(|agent| unseen_target(&spec(), &seen, agent)), [None, None]);
+        seen.available[0] |= 0b10000;
+        assert_eq!(unseen_target(&spec(), &seen, 0), Some(3));
+        seen.present = 0b0111;
+        assert_eq!(unseen_target(&spec(), &seen, 1), Some(3));
     }
 }

@@ -120,6 +120,9 @@ pub struct Spec {
     pub actions: Vec<String>,
     /// Who sees and does what, in the order of the agents; empty where all agents are alike.
     pub roles: Vec<Role>,
+    /// The entities at which the last actions aim, one each and in this order; empty where none aims. An agent may take such
+    /// an action only where it observes the entity.
+    pub targets: Range<usize>,
     /// The action of an agent that nobody decides for: always available, and as harmless as any.
     pub safe_action: Option<u16>,
     /// Whether episodes can be solved; where none can, returns alone say how good a team is.
@@ -163,6 +166,7 @@ impl Default for Spec {
             units: Vec::new(),
             actions: Vec::new(),
             roles: Vec::new(),
+            targets: 0..0,
             safe_action: None,
             has_success: true,
             metrics: &[],
@@ -226,7 +230,27 @@ impl Spec {
                 return Err(SpecError::Names { what, found, wanted });
             }
         }
+        self.check_targets()?;
         self.check_roles()
+    }
+
+    /// Aimed actions are some of the actions, and their targets are entities.
+    fn check_targets(&self) -> Result<(), SpecError> {
+        let Shape { entities, actions, .. } = self.shape;
+        let sizes = [
+            ("entities up to the last target", self.targets.end, entities),
+            ("aimed actions", self.targets.len(), actions - 1),
+        ];
+        let wrong = sizes.into_iter().find(|(_, found, most)| found > most);
+        wrong.map_or(Ok(()), |(what, found, most)| {
+            Err(SpecError::Size { what, found, least: 0, most })
+        })
+    }
+
+    /// The entity that an action aims at.
+    pub fn target_of(&self, action: usize) -> Option<usize> {
+        let first = self.shape.actions - self.targets.len();
+        self.targets.clone().nth(action.checked_sub(first)?)
     }
 
     fn check_roles(&self) -> Result<(), SpecError> {

@@ -4,12 +4,15 @@
 //! A [`Method`] in an [`Environment`](sortie_envs::Environment) becomes a run by a [`Session`].
 #![forbid(unsafe_code)]
 
+mod act;
 pub mod configuration;
 pub mod draft;
 pub mod error;
 pub mod evaluate;
 pub mod export;
+pub mod learner;
 pub mod method;
+pub mod networks;
 pub mod play;
 mod protobuf;
 pub mod random;
@@ -17,8 +20,13 @@ pub mod report;
 pub mod run;
 pub mod session;
 pub mod state;
+pub mod subtasks;
+pub mod trajectory;
 
+pub use act::{Act, Head, Scene, Scenes, Thought};
 pub use error::LearnError;
-pub use method::{Act, Head, Method, Now, Scene, Scenes, Thought, Transition};
+pub use learner::Learner;
+pub use method::{Method, Now, Transition};
 pub use session::Session;
 pub use state::State;
+pub use trajectory::Trajectories;

@@ -89,7 +89,9 @@ impl<'a> State<'a> {
                 written.values.insert(name.to_owned(), bytes);
             }
             Visit::Read { values, .. } => {
-                let bytes = values.get(name).ok_or_else(|| unfit(name, &"is missing"))?;
+                let bytes = values.get(name).ok_or_else(|| {
+                    unfit(name, &"is missing: another version of Sortie wrote it")
+                })?;
                 *value = postcard::from_bytes(bytes).map_err(|error| unfit(name, &error))?;
             }
             Visit::Weights(_) => {}

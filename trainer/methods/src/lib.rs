@@ -18,6 +18,17 @@ pub mod value_factorisation;
 use serde::{Deserialize, Serialize};
 use sortie_learn::session::MethodEntry;
 
+/// The learners of both presets of ALMA, part by part, for what measures them.
+pub mod learners {
+    pub use crate::alma::{ALMA, agents, records, teams, windows};
+}
+
+/// Allocators that propose, as graphs.
+pub mod proposals {
+    pub use crate::alma::windows::allocation::{AllocationShape, CriticWeights, PolicyWeights};
+    pub use crate::alma::{ProposalGraphs, export_proposals};
+}
+
 /// Every method of this crate.
 pub const METHODS: &[MethodEntry] = &[
     alma::ALMA,

@@ -10,6 +10,11 @@ use crate::layers::products::Products;
 /// What a lane computes depends on its number only, so that results are the same for any number of
 /// threads; products are those of the calling thread. Panics if `work` does.
 pub fn in_lanes<L: Send>(threads: usize, lanes: &mut [L], work: impl Fn(usize, &mut L) + Sync) {
+    if threads <= 1 {
+        // A scope of threads allocates, even where none is spawned.
+        lanes.iter_mut().enumerate().for_each(|(index, lane)| work(index, lane));
+        return;
+    }
     let rest = Mutex::new(lanes.iter_mut().enumerate());
     let next = || rest.lock().unwrap_or_else(PoisonError::into_inner).next();
     let run = || {

@@ -61,11 +61,13 @@ fn pass(
     let x = t.sparse_linear(rows, network.first);
     let x = t.relu(x);
     let keys_values = t.linear(x, network.keys_values);
-    let looked = t.attention(x, keys_values, visible, 2);
+    let [looked, ..] = t.attention_in_parts(x, keys_values, [visible; 2], 2);
     let remembered = t.gru(looked, network.memory, &[true; ROWS], memory);
     let both = t.concat(&[looked, remembered]);
     let y = t.linear_rectified(both, network.head);
     let y = t.softmax(y);
+    let y = t.softmax_by(y, &[0, 0, 1, 1, 1, 2], 3);
+    let y = t.elu(y);
     let chosen = t.pick(y, &[0, 1, 2, 0, 1, 2]);
     let loss = t.huber(chosen, &[0.5; ROWS], 1.0, 0.1);
     t.backward(loss, gradient);

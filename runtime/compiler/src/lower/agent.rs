@@ -3,7 +3,8 @@
 use sortie_core::internal::kernels::mark::MARKED;
 use sortie_core::internal::kernels::product::{padded, tile_width};
 use sortie_core::internal::ops::{
-    AttendOwn, Dense, EmbedEntities, Gru, Linear, MaskedArgmax, MaskedSample, Op, Place, Vectors,
+    AttendOwn, Dense, EmbedEntities, Gru, Linear, MaskedArgmax, MaskedSample, Op, Place,
+    PointAtEntities, Vectors,
 };
 use sortie_core::limits;
 use sortie_core::plan::{OPS, ProgramDraft};
@@ -39,6 +40,7 @@ pub(crate) fn lower_agent(
     sizes: AgentSizes,
 ) -> Result<(ProgramDraft, Weights), CompileError> {
     check(layers, sizes)?;
+    let layers = &with_parts_padded(layers);
     let (mut weights, mut arena) = (Weights::default(), Arena::default());
     let mut ops = Vec::new();
     let width = padded(layers.embed.matrix.outputs);
@@ -70,6 +72,11 @@ pub(crate) fn lower_agent(
             }
         };
         ops.push(op);
+    }
+    if let Some(targets) = layers.targets {
+        let (scores, to) = (arena.place(sizes.n_max), arena.place(sizes.actions));
+        ops.push(Op::PointAtEntities(PointAtEntities { rows, targets, from, scores, to }));
+        from = to;
     }
     from.len = sizes.actions as u32;
     ops.push(match sizes.choice {
@@ -136,6 +143,21 @@ fn lower_gru(
         recurrent_gates: arena.place(gates),
         to: arena.place(padded(size)),
     }
+}
+
+/// Where the head points, what it says of actions that aim at nobody and the vector that points are padded each.
+pub(crate) fn with_parts_padded(layers: &AgentLayers) -> AgentLayers {
+    let mut layers = layers.clone();
+    if let (Some(targets), Some(Step::Dense(head))) = (layers.targets, layers.steps.last_mut()) {
+        let untargeted = usize::from(targets.untargeted);
+        let part = |start: usize, count: usize| Layer {
+            matrix: head.matrix.columns(start, count),
+            bias: head.bias.iter().skip(start).take(count).copied().collect(),
+            relu: false,
+        };
+        *head = side_by_side(&[part(0, untargeted), part(untargeted, targets.width.into())]);
+    }
+    layers
 }
 
 /// One layer with the outputs of several, each padded with zeros.
@@ -273,7 +295,15 @@ fn check_chain(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileErr
             }
         }
     }
-    pairs.push(("the number of utilities", before, sizes.actions));
+    match layers.targets {
+        None => pairs.push(("the number of utilities", before, sizes.actions)),
+        Some(targets) => {
+            let [untargeted, aimed] = [targets.untargeted, targets.count].map(usize::from);
+            pairs.push(("the number of utilities", untargeted + aimed, sizes.actions));
+            pairs.push(("the pointing head's width", targets.width.into(), width));
+            pairs.push(("the head's width", before, untargeted + width));
+        }
+    }
     pairs.into_iter().try_for_each(|(what, got, want)| same_sizes(what, got, want))
 }
 

@@ -4,13 +4,13 @@ use sortie_bundle::Recording;
 use sortie_core::internal::kernels::int8::{PAIRS, STRIP};
 use sortie_core::internal::kernels::product::padded;
 use sortie_core::internal::ops::{
-    Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, MaskedArgmax, MaskedSample, Op, Place,
-    quantised_floats,
+    Int8AttendOwn, Int8Dense, Int8EmbedEntities, Int8Layer, Int8PointAtEntities, MaskedArgmax,
+    MaskedSample, Op, Place, quantised_floats,
 };
 use sortie_core::plan::{OPS, ProgramDraft};
 use sortie_plans::CompileError;
 
-use super::agent::{AgentSizes, Arena, Choice, at_most, check};
+use super::agent::{AgentSizes, Arena, Choice, at_most, check, with_parts_padded};
 use super::rounding::{EMBED, Products, QUERY, Rounded, nearest, round};
 use crate::matching::{AgentLayers, Layer};
 
@@ -21,6 +21,7 @@ pub(crate) fn lower_agent_int8(
     examples: Option<&Recording>,
 ) -> Result<(ProgramDraft, Int8Weights), CompileError> {
     check(layers, sizes)?;
+    let layers = &with_parts_padded(layers);
     let products = Products::of(layers, sizes.features)?;
     let rounded =
         examples.map_or_else(|| nearest(&products), |examples| round(&products, examples));
@@ -54,6 +55,18 @@ pub(crate) fn lower_agent_int8(
         spare.swap(0, 1);
         from = dense.to;
         ops.push(Op::Int8Dense(dense));
+    }
+    if let Some(targets) = layers.targets {
+        let to = arena.place(sizes.actions);
+        ops.push(Op::Int8PointAtEntities(Int8PointAtEntities {
+            rows: places.rows,
+            targets,
+            from,
+            scores: attend.scores,
+            quantised: places.quantised(targets.width.into()),
+            to,
+        }));
+        from = to;
     }
     from.len = sizes.actions as u32;
     ops.push(match sizes.choice {

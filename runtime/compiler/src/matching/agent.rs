@@ -1,5 +1,6 @@
 //! The masked-attention utility network (dissertation section 7.3).
 
+use sortie_core::internal::ops::Targets;
 use sortie_plans::{CompileError, Layer, Matrix};
 use tract_onnx::prelude::*;
 use tract_onnx::tract_core::ops::array::Gather;
@@ -13,6 +14,7 @@ use super::gru::{
     Found, GruLayers, bias_values, match_gru, match_layer, match_product, match_product_of_two,
     match_scale, match_sum, terms,
 };
+use super::pointing::match_pointing;
 use crate::graph::{Graph, TeamRoles};
 
 /// Logits of masked entities must be at least this small: e to that power is zero.
@@ -34,8 +36,11 @@ pub(crate) struct AgentLayers {
     pub(crate) output: Layer,
     /// Own embedding to what is added to the output, before its ReLU.
     pub(crate) skip: Option<Matrix>,
-    /// What follows the attention, in order.
+    /// What follows the attention, in order. Where the head points, its last layer gives the utilities of actions that aim
+    /// at nobody, then the vector that points.
     pub(crate) steps: Vec<Step>,
+    /// Which actions aim at which entities, where the head points.
+    pub(crate) targets: Option<Targets>,
 }
 
 /// What is done to one vector.
@@ -74,6 +79,11 @@ fn match_network(
 ) -> Result<(impl FnOnce(Layer) -> AgentLayers + use<>, OutletId), CompileError> {
     let mut steps = Vec::new();
     let mut outlet = graph.answer;
+    let pointing = match_pointing(graph, outlet, question.visible)?;
+    if let Some(found) = &pointing {
+        steps.push(Step::Dense(found.head.clone()));
+        outlet = found.input;
+    }
     let (output, mixed, skip) = loop {
         if let Some(found) = match_gru(graph, outlet)? {
             steps.push(Step::Gru(Box::new(found.layers)));
@@ -99,7 +109,12 @@ fn match_network(
         return Err(graph.unsupported(skip.embedding, "a skip takes the row that forms the query"));
     }
     let skip = skip.map(|skip| skip.matrix);
-    let with = move |embed| AgentLayers { embed, heads, query, key, value, output, skip, steps };
+    if let Some(found) = pointing.as_ref().filter(|it| it.embedding != graph.source(embedding)) {
+        return Err(graph.unsupported(found.embedding, "a head points at what attention reads"));
+    }
+    let targets = pointing.map(|pointing| pointing.targets);
+    let with =
+        move |embed| AgentLayers { embed, heads, query, key, value, output, skip, steps, targets };
     Ok((with, embedding))
 }
 

@@ -7,6 +7,7 @@ use sortie_plans::{CompileError, Rows};
 use super::{Opens, Tract};
 use crate::engine::{AnyEngine, Engine, Number, Tensors, flag};
 use crate::graph::{Graph, Memory};
+use crate::matching::aimed_at;
 use crate::onnxruntime::{OnnxRuntime, SessionEngine};
 
 /// An agent's graph in an engine.
@@ -18,6 +19,8 @@ pub(crate) struct AgentGraph<E: Engine> {
     memory: Option<Memory>,
     /// The place of the utilities among the outputs.
     answer: usize,
+    /// One more than the last entity that an action aims at; 0 where none does.
+    aimed_at: usize,
     /// Entities, own index, mask, and the recurrent state where there is one.
     tensors: Tensors<E::Number>,
 }
@@ -31,7 +34,8 @@ impl<E: Engine> AgentGraph<E> {
         let inputs = [roles.entities, roles.self_index, roles.visible].into_iter().chain(state);
         let tensors = Tensors::new(inputs.map(|input| graph.input_name(input)));
         let (actions, memory, answer) = (graph.actions, roles.memory, answer.unwrap_or(0));
-        Ok(Self { engine, columns, actions, memory, answer, tensors })
+        let aimed_at = aimed_at(graph)?;
+        Ok(Self { engine, columns, actions, memory, answer, aimed_at, tensors })
     }
 
     /// Floats of its recurrent state.
@@ -51,15 +55,19 @@ impl<E: Engine> AgentGraph<E> {
             return Err(DecideError::HiddenState { want, got });
         }
         let Self { engine, columns, tensors, .. } = self;
-        let rows = columns.rows(seen, rows)?;
-        let count = rows.len();
+        // Who is aimed at is said by numbers of rows: all of them are there, zeros where nobody is.
+        let rows = columns.rows(seen, if self.aimed_at > 0 { Rows::All } else { rows })?;
+        let count = rows.len().max(self.aimed_at);
         let entities = tensors.room(0, &[count, columns.columns]).ok_or(DecideError::BadLength)?;
         for row in rows.iter() {
             columns.push_row(seen, row, entities)?;
         }
+        entities.resize(count * columns.columns, E::Number::from(0.0));
         let own = rows.iter().position(|row| row == seen.self_index).unwrap_or(0);
         tensors.fill(1, &[1], [own as f32]);
-        tensors.fill(2, &[count], rows.iter().map(|row| flag(seen.visible.contains(row))));
+        let visible = rows.iter().map(|row| flag(seen.visible.contains(row)));
+        let absent = std::iter::repeat_n(flag(false), count - rows.len());
+        tensors.fill(2, &[count], visible.chain(absent));
         tensors.fill(3, &[want], memory.iter().copied());
         // What engines may refuse are sizes that the graph cannot take.
         let outputs = engine.run(&tensors.named()).map_err(|_| DecideError::BadLength)?;

@@ -235,6 +235,10 @@ impl Model {
                 self.layer("output", &both, &output)
             }
         };
+        if layers.targets.is_some() {
+            let (what, got) = ("the number of pointing heads".into(), 1);
+            return Err(CompileError::Size { what, got, want: 0 });
+        }
         for (index, step) in layers.steps.iter().enumerate() {
             let Step::Dense(layer) = step else {
                 let (what, got) = ("the number of recurrent units".into(), 1);

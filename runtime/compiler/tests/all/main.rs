@@ -5,6 +5,7 @@ mod compile;
 mod entities;
 mod judges;
 mod laws;
+mod pointing;
 mod proposals;
 mod recurrent;
 mod shipped;

@@ -22,6 +22,7 @@ mod mean_rows;
 mod operator;
 mod output;
 mod place;
+mod point;
 mod proposals;
 mod set;
 mod steps;
@@ -46,6 +47,7 @@ pub use mean_rows::{MeanRows, Members};
 pub use output::{Output, OutputRows};
 pub use place::Place;
 pub(crate) use place::{Places, apart, copied, place, places};
+pub use point::{Int8PointAtEntities, PointAtEntities, Targets};
 pub(crate) use proposals::{COUNTS, arena as proposal_arena};
 pub use proposals::{
     EmbedTasks, PointerLogits, ProposalNetwork, RowAttention, ScoreAllocations, Vectors,

@@ -7,9 +7,9 @@ use super::team::Team;
 use super::{
     Arrange, AttendAll, AttendOwn, Combine, Constant, Convolve, ConvolvePatches, Dense, DenseRows,
     EmbedEntities, EmbedTasks, FoldPatches, GroupSum, Gru, GruCell, Input, Int8AttendOwn,
-    Int8ConvolvePatches, Int8Dense, Int8EmbedEntities, LookUp, LstmCell, Map, MaskedArgmax,
-    MaskedSample, MeanRows, Multiply, Normalise, Output, Places, PointerLogits, Reduce,
-    ScoreAllocations, Scratch, Select, Sizes, Softmax, State,
+    Int8ConvolvePatches, Int8Dense, Int8EmbedEntities, Int8PointAtEntities, LookUp, LstmCell, Map,
+    MaskedArgmax, MaskedSample, MeanRows, Multiply, Normalise, Output, Places, PointAtEntities,
+    PointerLogits, Reduce, ScoreAllocations, Scratch, Select, Sizes, Softmax, State,
 };
 use crate::kernels::Kernels;
 use crate::limits;
@@ -278,6 +278,10 @@ operators! {
     FoldPatches,
     /// A layer on every patch of a picture, of int8 weights.
     Int8ConvolvePatches,
+    /// Utilities of actions that are aimed at entities.
+    PointAtEntities,
+    /// Utilities of actions that are aimed at entities, of integers.
+    Int8PointAtEntities,
 }
 
 impl OpKind {
@@ -288,7 +292,12 @@ impl OpKind {
 
     /// Whether it stands in policies alone.
     pub(crate) const fn is_step(self) -> bool {
-        self as u16 >= Self::Input as u16
+        self as u16 >= Self::Input as u16 && !self.points()
+    }
+
+    /// Whether it points at entities, which policies over inputs of fixed sizes do not know.
+    const fn points(self) -> bool {
+        matches!(self, Self::PointAtEntities | Self::Int8PointAtEntities)
     }
 
     /// Whether plans of this weight layout have the operator.

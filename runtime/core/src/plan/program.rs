@@ -366,12 +366,20 @@ impl<'a, S: OperatorSet> Program<'a, S> {
             OpRef::AttendAll(op) => (op.rows, op.width.into()),
             OpRef::MeanRows(op) => (op.rows, op.width.into()),
             OpRef::GroupSum(op) => (op.rows, op.width.into()),
+            OpRef::PointAtEntities(op) => (op.rows, op.targets.width.into()),
+            OpRef::Int8PointAtEntities(op) => (op.rows, op.targets.width.into()),
             OpRef::Output(Output { from, width, rows: OutputRows::Entities, .. }) => {
                 (*from, *width)
             }
             _ => return true,
         };
-        let own = matches!(op, OpRef::AttendOwn(_) | OpRef::Int8AttendOwn(_));
+        let own = matches!(
+            op,
+            OpRef::AttendOwn(_)
+                | OpRef::Int8AttendOwn(_)
+                | OpRef::PointAtEntities(_)
+                | OpRef::Int8PointAtEntities(_)
+        );
         self.ops().take(index).any(|before| match before {
             OpRef::EmbedEntities(_) | OpRef::Int8EmbedEntities(_) => {
                 embedded(before) == Some((place, width))

@@ -4,8 +4,10 @@ use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
-use sortie_methods::alma::records::team_value::{TeamSearch, TeamValueLoss};
-use sortie_methods::alma::records::{Chunk, Config, Knowledge, Learner, Loss, Networks, Records};
+use sortie_methods::learners::records::team_value::{TeamSearch, TeamValueLoss};
+use sortie_methods::learners::records::{
+    Chunk, Config, Knowledge, Learner, Loss, Networks, Records,
+};
 use sortie_nn::random::Generator;
 
 use super::{Case, Turn, setup};

@@ -15,7 +15,7 @@ use serde::Serialize;
 use sortie_cli::failure::Failure;
 use sortie_cli::methods;
 use sortie_learn::run::Setup;
-use sortie_methods::alma::ALMA;
+use sortie_methods::learners::ALMA;
 use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 
 use super::{Figures, Measuring, Row, pin};

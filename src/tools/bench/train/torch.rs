@@ -9,8 +9,8 @@ use serde::Deserialize;
 use sortie_cli::failure::{Exit, Failure};
 use sortie_cli::output::tell;
 use sortie_envs::{EntitySet, Environment, Observation, members};
-use sortie_methods::alma::agents::{Columns, NO_ACTION, UtilityNetwork, UtilityShape};
-use sortie_methods::alma::records::{Experience, Knowledge, Moment, Pick, Replay};
+use sortie_methods::learners::agents::{Columns, NO_ACTION, UtilityNetwork, UtilityShape};
+use sortie_methods::learners::records::{Experience, Knowledge, Moment, Pick, Replay};
 
 use super::learning::{Learning, gradient};
 use super::program::{Comparison, Expected, Program, Tensors};

@@ -129,6 +129,13 @@ pub const RUN: Section = Section {
         ),
         key("steps", "environment steps", Whole(1, STEPS), "How long to learn."),
         key(
+            "cpu_seconds",
+            "processor seconds",
+            Number(0.0, 1e9),
+            "When a run ends that has not taken all steps, evaluations included; what goes by shares of the run follows. 0: \
+             never, and only such runs repeat byte for byte.",
+        ),
+        key(
             "evaluate_every",
             "environment steps",
             Whole(1, STEPS),

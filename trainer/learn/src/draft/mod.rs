@@ -1,33 +1,42 @@
 //! A run of any method becomes a bundle: networks, contract, golden observations, card and curve.
 
+mod allocations;
+mod card;
 mod recorder;
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::Path;
 
 use sortie_bundle::files::{MOST_BYTES, read_file};
 use sortie_bundle::{
-    AGENT, AgentGraph, CARD, CONTRACT_ABI, CURVE, CURVE_DATA, ContractV1, Draft,
+    AGENT, ALLOCATOR, AgentGraph, CARD, CONTRACT_ABI, CURVE, CURVE_DATA, ContractV1, Draft,
     Environment as Described, FallbackAllocation, Golden, GoldenCase, Limits, Network,
-    OPTION_GRAPHS, OPTIONS, POLICY, POLICY_ROLES, PolicyRoles, SubtaskConditioning, TRAINING,
+    OPTION_GRAPHS, OPTIONS, POLICY, POLICY_ROLES, PROPOSAL_PARTS, PROPOSALS, PolicyRoles,
+    SubtaskConditioning, TEAM_VALUE, TRAINING,
 };
+use sortie_core::Policy;
 use sortie_envs::{Environment, Shape, Spec};
 
+use self::allocations::golden_allocations;
 use crate::error::LearnError;
-use crate::evaluate::Evaluation;
 use crate::export::{
     AGENT_NUMBER, AgentNetwork, DeployedAgents, DeployedNetworks, ExportError, OwnRowNetworks,
-    RecurrentAgent, agent_onnx, recurrent_agent_onnx,
+    RecurrentAgent, TeamValueExport, agent_onnx, recurrent_agent_onnx, team_value_onnx,
 };
 use crate::method::Method;
 use crate::play::{PolicyTeam, evaluate};
 use crate::run::{CurvePoint, RunDescription};
+use crate::subtasks::{
+    AllocatedTeam, AllocatorNetworks, LearnedAllocator, PolicyAgents, RuleAllocator,
+};
 
+pub use card::{Measured, measured_table};
 pub use recorder::{EpisodeRecorder, Recorder};
 
 /// Episodes that golden observations are drawn from.
 const GOLDEN_EPISODES: usize = 400;
+/// The same of agents that are allocated to subtasks, which are many.
+const ALLOCATED_EPISODES: usize = 100;
 /// The same of agents that run options, whose episodes are long.
 const OPTION_CASES: usize = 30;
 /// Episodes that are golden as a whole, where agents run options.
@@ -58,21 +67,24 @@ pub fn draft_method(
 ) -> Result<Draft, LearnError> {
     let spec = run.environment.spec();
     let DeployedAgents { networks, mut policy } = run.method.deployed()?;
-    let contract = contract(spec, networks.take_last_actions(spec.shape.features));
-    let agents =
-        networks.to_parts(spec, &contract).map_err(|error| LearnError::format(folder, error))?;
-    let runs_options = matches!(networks, DeployedNetworks::Options { .. });
-    let mut team = PolicyTeam::new(Recorder::new(&mut *policy, spec.shape.features));
-    let episodes = if runs_options { OPTION_CASES } else { GOLDEN_EPISODES };
-    evaluate(run.environment, &mut team, episodes, seed)?;
-    let mut golden = Golden { cases: team.into_policy().cases, ..Golden::default() };
-    for index in 0..if runs_options { WHOLE_EPISODES } else { 0 } {
-        let mut team = PolicyTeam::new(EpisodeRecorder::new(&mut *policy));
-        evaluate(run.environment, &mut team, 1, seed.wrapping_add(index))?;
-        golden.episodes.push(team.into_policy().episode);
+    let subtasks = run.method.subtasks();
+    let mut contract = contract(spec, networks.take_last_actions(spec.shape.features));
+    if let Some(subtasks) = &subtasks {
+        contract.decision_interval = subtasks.interval;
+        contract.subtask_conditioning = SubtaskConditioning::Mask;
     }
+    let diverged = |error| LearnError::format(folder, error);
+    let mut agents = networks.to_parts(spec, &contract).map_err(diverged)?;
+    let (mut limits, allocator) =
+        (limits(sizes), subtasks.as_ref().and_then(|it| it.allocator.as_ref()));
+    if let Some(allocator) = allocator {
+        agents.add_allocator(allocator, spec, contract.hash()).map_err(diverged)?;
+        let team_max = allocator.team_max.and_then(|most| most.try_into().ok());
+        limits.team_max = limits.team_max.min(team_max.unwrap_or(u16::MAX));
+    }
+    let golden = golden(run, &networks, &mut *policy, seed)?;
     let mut parts = BTreeMap::from([
-        (CARD.to_owned(), card(run, measured, &networks).into_bytes()),
+        (CARD.to_owned(), card::card(run, measured, &networks).into_bytes()),
         (CURVE.to_owned(), read_part(folder, CURVE)?),
         (CURVE_DATA.to_owned(), read_part(folder, CURVE_DATA)?),
         (TRAINING.to_owned(), read_part(folder, TRAINING)?),
@@ -80,7 +92,7 @@ pub fn draft_method(
     parts.extend(agents.parts);
     Ok(Draft {
         environment: described(run.description.config.environment.to_string(), spec, &golden.cases),
-        limits: limits(sizes),
+        limits,
         network: agents.network,
         golden,
         contract,
@@ -88,11 +100,70 @@ pub fn draft_method(
     })
 }
 
+/// What the method's own passes answer in greedy episodes.
+fn golden(
+    run: &MethodRun<'_>,
+    networks: &DeployedNetworks<'_>,
+    policy: &mut dyn Policy,
+    seed: u64,
+) -> Result<Golden, LearnError> {
+    let environment = run.environment;
+    let mut golden = Golden::default();
+    let mut recorder = Recorder::new(&mut *policy, environment.spec().shape.features);
+    if let Some(subtasks) = run.method.subtasks() {
+        let usual = environment.spec().rules.first().map_or("", |rule| rule.name);
+        let agents = Box::new(PolicyAgents::new(&mut recorder as &mut dyn Policy));
+        let rule = Box::new(RuleAllocator(usual));
+        let mut team = AllocatedTeam::new(agents, rule, subtasks.interval);
+        evaluate(environment, &mut team, ALLOCATED_EPISODES, seed)?;
+        drop(team);
+        golden.allocations = golden_allocations(subtasks, environment, ALLOCATED_EPISODES, seed)?;
+        golden.cases = recorder.cases;
+        return Ok(golden);
+    }
+    let runs_options = matches!(networks, DeployedNetworks::Options { .. });
+    let episodes = if runs_options { OPTION_CASES } else { GOLDEN_EPISODES };
+    evaluate(environment, &mut PolicyTeam::new(&mut recorder), episodes, seed)?;
+    golden.cases = recorder.cases;
+    for index in 0..if runs_options { WHOLE_EPISODES } else { 0 } {
+        let mut team = PolicyTeam::new(EpisodeRecorder::new(&mut *policy));
+        evaluate(environment, &mut team, 1, seed.wrapping_add(index))?;
+        golden.episodes.push(team.into_policy().episode);
+    }
+    Ok(golden)
+}
+
 /// What a bundle holds of its agents' networks.
 struct AgentParts {
     network: Network,
     /// The graphs, and what is said of their inputs where that must be.
     parts: BTreeMap<String, Vec<u8>>,
+}
+
+impl AgentParts {
+    /// Adds the graphs of what allocates the agents.
+    fn add_allocator(
+        &mut self,
+        allocator: &LearnedAllocator<'_>,
+        spec: &Spec,
+        contract: u64,
+    ) -> Result<(), ExportError> {
+        let kind = match &allocator.networks {
+            AllocatorNetworks::TeamValue(layers) => {
+                let (features, relations) = (spec.shape.features, spec.relations);
+                let network = TeamValueExport { features, relations, contract, layers: **layers };
+                self.parts.insert(ALLOCATOR.to_owned(), team_value_onnx(&network)?);
+                TEAM_VALUE
+            }
+            AllocatorNetworks::Proposals(write) => {
+                let names = PROPOSAL_PARTS.map(str::to_owned);
+                self.parts.extend(names.into_iter().zip(write(contract)?));
+                PROPOSALS
+            }
+        };
+        self.network.allocator = Some(kind.to_owned());
+        Ok(())
+    }
 }
 
 impl DeployedNetworks<'_> {
@@ -199,54 +270,6 @@ fn graph_name(agents: &[usize], spec: &Spec) -> String {
     }
 }
 
-/// The model card.
-fn card(run: &MethodRun<'_>, measured: &[Measured], networks: &DeployedNetworks<'_>) -> String {
-    let RunDescription { seed, version, config, .. } = run.description;
-    let method = &config.method;
-    let mut card = format!(
-        "# A team for {}\n\n\
-         {} Trained by\n\
-         `sortie train {method}`, seed {seed}, Sortie {version}; `train.toml` repeats the run.\n\n\
-         ## How well it does\n\n\
-         {} that training never saw. The interval is that of the episodes, not of training again.\n\n",
-        config.environment,
-        networks.about(),
-        if matches!(networks, DeployedNetworks::Options { .. }) {
-            "Episodes"
-        } else {
-            "Greedy episodes"
-        },
-    );
-    card += &measured_table(measured);
-    if let Some(last) = run.curve.last() {
-        let _ = writeln!(
-            card,
-            "\nTraining took {} environment steps, {:.0} seconds of processor time and {:.0} seconds.",
-            last.env_steps, last.cpu_s, last.wall_s
-        );
-    }
-    let _ = writeln!(
-        card,
-        "\nMatrix products were computed with `{}`: `--set run.products={0}` repeats the run byte for byte.",
-        config.run.products
-    );
-    if let DeployedNetworks::Options { options, .. } = networks {
-        let _ = writeln!(
-            card,
-            "\n{:.0} % of its actions are drawn, and {:.0} % of its goals, from the seed {} that `bundle.toml` states: the \
-             same episode is the same again.",
-            100.0 * options.action_chance,
-            100.0 * options.goal_chance,
-            options.seed
-        );
-    }
-    if matches!(networks, DeployedNetworks::Attention { network, .. } if network.skip.is_some()) {
-        card += "\n## Where the training departs from the dissertation\n\n\
-                 - An agent's own embedding reaches the layer before the head past the attention (`network.skip`).\n";
-    }
-    card
-}
-
 /// The contract of agents that know of no subtasks.
 pub fn contract(spec: &Spec, append_last_action: bool) -> ContractV1 {
     ContractV1 {
@@ -290,39 +313,6 @@ pub fn limits(sizes: &[Shape]) -> Limits {
         t_max: most(|shape| shape.tasks),
         team_max: most(|shape| shape.agents),
     }
-}
-
-/// A measured allocation, for the card.
-#[derive(Clone, Debug)]
-pub struct Measured {
-    /// The scenario set that it was measured on; the bundle serves its sizes.
-    pub set: String,
-    /// Who allocated.
-    pub allocation: String,
-    /// How the team did.
-    pub evaluation: Evaluation,
-}
-
-/// The card's table of measured episodes, a row for each set.
-pub fn measured_table(measured: &[Measured]) -> String {
-    let mut table = "\
-         | starts | episodes | success (95 % interval) | time-outs | return | steps |\n\
-         | --- | --- | --- | --- | --- | --- |\n"
-        .to_owned();
-    for Measured { set, evaluation, .. } in measured {
-        let [low, high] = evaluation.success_ci95;
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            table,
-            "| `{set}` | {} | {:.3} ({low:.3} to {high:.3}) | {:.3} | {:.2} | {:.2} |",
-            evaluation.episodes,
-            evaluation.success,
-            evaluation.timeouts,
-            evaluation.return_mean,
-            evaluation.length_mean,
-        );
-    }
-    table
 }
 
 /// A file of a run that becomes part of its bundle.

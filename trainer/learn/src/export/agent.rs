@@ -2,7 +2,8 @@
 //! recurrent unit between base and head.
 
 use super::attention::{
-    AttentionNetwork, ExportError, Inputs, Layer, add_base, add_head, add_network, layer,
+    AttentionNetwork, ExportError, Inputs, Layer, PointingHead, add_base, add_network,
+    add_utilities, layer,
 };
 use super::onnx::{Dim, Element, Graph, metadata};
 
@@ -53,7 +54,11 @@ fn agent_metadata(network: &AgentNetwork<'_>) -> Vec<(&'static str, String)> {
         ("sortie.actions", network.layers.outputs),
         ("sortie.append_last_action", network.append_last_action.into()),
     ];
-    metadata("agent", network.contract, sizes)
+    let mut metadata = metadata("agent", network.contract, sizes);
+    if let Some(PointingHead { first_entity, count, .. }) = network.layers.pointing {
+        metadata.push(("sortie.targets", format!("{first_entity}..{}", first_entity + count)));
+    }
+    metadata
 }
 
 fn declare(graph: &mut Graph, inputs: usize, actions: usize) {
@@ -98,9 +103,10 @@ pub fn recurrent_agent_onnx(network: &RecurrentAgent<'_>) -> Result<Vec<u8>, Exp
     let state = [Dim::Fixed(size)];
     graph.input("h_in", Element::Float, &state, "State after the step before, zeros at first.");
     graph.output("h_out", Element::Float, &state, "State after this step.");
-    let base = add_base(&mut graph, &agent.layers, INPUTS, *attention_relu)?;
+    let (embedding, base) = add_base(&mut graph, &agent.layers, INPUTS, *attention_relu)?;
     let state = add_gru(&mut graph, gru, size, &base)?;
-    add_head(&mut graph, &agent.layers, &state, "utilities")?;
+    let given = [&*embedding, &*state, INPUTS.visible];
+    add_utilities(&mut graph, &agent.layers, given, "utilities")?;
     let mut metadata = agent_metadata(agent);
     metadata.push(("sortie.hidden", size.to_string()));
     Ok(graph.into_model("agent", DOC, &metadata))
@@ -194,6 +200,7 @@ mod recurrent_tests {
             skip: None,
             fc2: Some(fc2),
             head,
+            pointing: None,
         };
         let agent = AgentNetwork { features: 5, append_last_action: true, contract: 0, layers };
         let gru = GruCell { input, recurrent };
@@ -234,6 +241,7 @@ mod recurrent_tests {
             skip: None,
             fc2: Some(fc2),
             head,
+            pointing: None,
         };
         let agent = AgentNetwork { features: 7, append_last_action: false, contract: 0, layers };
         let gru = GruCell { input, recurrent };
@@ -315,6 +323,7 @@ mod tests {
                 skip: None,
                 fc2: Some(fc2),
                 head,
+                pointing: None,
             },
         };
         change(&mut network);

@@ -58,8 +58,22 @@ pub struct AttentionNetwork<'a> {
     pub skip: Option<Matrix<'a>>,
     /// E to R.
     pub fc2: Option<Layer<'a>>,
-    /// R to U.
+    /// R to U; where the network points, to the actions that aim at nobody.
     pub head: Layer<'a>,
+    /// What scores the actions that are aimed at entities.
+    pub pointing: Option<PointingHead<'a>>,
+}
+
+/// A head that points: the utility of an action that is aimed at an entity is the product of the agent's vector with that
+/// entity's embedding.
+#[derive(Clone, Copy, Debug)]
+pub struct PointingHead<'a> {
+    /// The entity that the first of these actions aims at; each of them aims at the next one.
+    pub first_entity: usize,
+    /// How many actions aim at an entity; they are the last ones.
+    pub count: usize,
+    /// R to E: the agent's vector.
+    pub query: Layer<'a>,
 }
 
 /// Why a network cannot be exported.
@@ -118,19 +132,19 @@ pub fn add_network(
     inputs: Inputs<'_>,
     output: &str,
 ) -> Result<(), ExportError> {
-    let base = add_base(graph, network, inputs, true)?;
-    add_head(graph, network, &base, output)
+    let (embedding, base) = add_base(graph, network, inputs, true)?;
+    add_utilities(graph, network, [&embedding, &base, inputs.visible], output)
 }
 
-/// Adds the nodes in front of the head and returns the last one's name; its value is `[1, R]`.
+/// Adds the nodes in front of the head and returns the names of the embedding `[N, E]` and of the last one, `[1, R]`.
 pub fn add_base(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
     inputs: Inputs<'_>,
     attention_relu: bool,
-) -> Result<String, ExportError> {
-    let (_, attended) = add_attention(graph, network, inputs, attention_relu)?;
-    add_second(graph, network, &attended)
+) -> Result<(String, String), ExportError> {
+    let (embedding, attended) = add_attention(graph, network, inputs, attention_relu)?;
+    Ok((embedding, add_second(graph, network, &attended)?))
 }
 
 /// Adds the embedding `[N, E]` and the attention `[1, E]`, or `[N, E]` where every row asks; returns both names.
@@ -177,6 +191,36 @@ pub fn add_head(
     let shape_name = format!("{output}.shape");
     let shape = graph.integers(&shape_name, &[outputs as i64]);
     graph.node(output, "Reshape", &[&head, shape], &[]);
+    Ok(())
+}
+
+/// Adds the heads, on the base `[1, R]`, the embedding `[N, E]` and what is visible `[N]`; they give `output` `[U]`.
+///
+/// An action whose target is not visible has the utility 0.
+pub fn add_utilities(
+    graph: &mut Graph,
+    network: &AttentionNetwork<'_>,
+    [embedding, base, visible]: [&str; 3],
+    output: &str,
+) -> Result<(), ExportError> {
+    let Some(PointingHead { first_entity, count, query }) = &network.pointing else {
+        return add_head(graph, network, base, output);
+    };
+    let targets: Vec<i64> = (*first_entity..first_entity + count).map(|row| row as i64).collect();
+    let targets = graph.integers("pointing.targets", &targets).to_owned();
+    let nothing = graph.floats("pointing.nothing", &[], &[0.0]).to_owned();
+    let untargeted = [network.base, network.outputs - count];
+    let untargeted = layer(graph, "head", base, &network.head, untargeted)?;
+    let query = layer(graph, "pointing.query", base, query, [network.base, network.width])?;
+    let rows = graph.node("pointing.rows", "Gather", &[embedding, &targets], &[axis(0)]);
+    let turned = Attribute::Ints("perm", &[1, 0]);
+    let rows = graph.node("pointing.columns", "Transpose", &[&rows], &[turned]);
+    let scores = graph.node("pointing.scores", "MatMul", &[&query, &rows], &[]);
+    let seen = graph.node("pointing.seen", "Gather", &[visible, &targets], &[axis(0)]);
+    let aimed = graph.node("pointing", "Where", &[&seen, &scores, &nothing], &[]);
+    let all = graph.node("heads", "Concat", &[&untargeted, &aimed], &[axis(1)]);
+    let shape = graph.integers(&format!("{output}.shape"), &[network.outputs as i64]).to_owned();
+    graph.node(output, "Reshape", &[&all, &shape], &[]);
     Ok(())
 }
 

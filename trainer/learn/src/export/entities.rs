@@ -226,6 +226,7 @@ mod tests {
             skip: None,
             fc2: Some(fc2),
             head,
+            pointing: None,
         };
         let contract = 0x0123_4567_89ab_cdef;
         entity_network_onnx(&EntityNetwork { features, groups, contract, members, layers })

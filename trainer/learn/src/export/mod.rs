@@ -10,13 +10,15 @@ mod entities;
 pub mod onnx;
 mod own_row;
 #[cfg(test)]
+mod pointing_tests;
+#[cfg(test)]
 mod skip_tests;
 
 use sortie_bundle::OptionsContract;
 use sortie_core::Policy;
 
 pub use agent::{AgentNetwork, GruCell, RecurrentAgent, agent_onnx, recurrent_agent_onnx};
-pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix};
+pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix, PointingHead};
 pub use entities::{EntityNetwork, Members, TeamValueExport, entity_network_onnx, team_value_onnx};
 pub use own_row::{
     AGENT_NUMBER, DenseLayer, GOAL, LookupTables, OptionGraphs, OwnRowNetwork, OwnRowNetworks,
@@ -50,4 +52,19 @@ pub enum DeployedNetworks<'a> {
         /// The networks.
         graphs: OptionGraphs,
     },
+}
+
+/// What a method says on the card of a bundle, beside what every card says. Empty words say nothing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Words {
+    /// What its agents are; where it says nothing, what is known of networks of their kind.
+    pub agents: String,
+    /// What allocates them.
+    pub allocator: String,
+    /// What the figures mean.
+    pub figures: String,
+    /// How its training departs from the dissertation, as items of a list.
+    pub departures: String,
+    /// What the team is not made for.
+    pub limits: String,
 }

@@ -2,19 +2,19 @@
 
 use super::*;
 
-const CONTRACT: u64 = 0x0123_4567_89ab_cdef;
+pub(super) const CONTRACT: u64 = 0x0123_4567_89ab_cdef;
 
 /// Sizes of a network: columns, width, heads, width before the head if there is such a layer, outputs.
-struct Sizes {
-    inputs: usize,
-    width: usize,
-    heads: usize,
-    base: Option<usize>,
-    outputs: usize,
+pub(super) struct Sizes {
+    pub(super) inputs: usize,
+    pub(super) width: usize,
+    pub(super) heads: usize,
+    pub(super) base: Option<usize>,
+    pub(super) outputs: usize,
 }
 
 /// Tensors of random numbers in ±0.5, one after the other.
-struct Tensors(u32);
+pub(super) struct Tensors(pub(super) u32);
 
 impl Tensors {
     fn next(&mut self, count: usize) -> &'static [f32] {
@@ -30,11 +30,11 @@ impl Tensors {
         Matrix { values: self.next(inputs * outputs), layout: Layout::InputsFirst }
     }
 
-    fn layer(&mut self, inputs: usize, outputs: usize) -> Layer<'static> {
+    pub(super) fn layer(&mut self, inputs: usize, outputs: usize) -> Layer<'static> {
         Layer { weight: self.matrix(inputs, outputs), bias: self.next(outputs) }
     }
 
-    fn network(&mut self, sizes: Sizes) -> AttentionNetwork<'static> {
+    pub(super) fn network(&mut self, sizes: Sizes) -> AttentionNetwork<'static> {
         let Sizes { inputs, width, heads, base, outputs } = sizes;
         AttentionNetwork {
             inputs,
@@ -47,12 +47,13 @@ impl Tensors {
             attention_out: self.layer(width, width),
             fc2: base.map(|base| self.layer(width, base)),
             head: self.layer(base.unwrap_or(width), outputs),
+            pointing: None,
             skip: Some(self.matrix(width, width)),
         }
     }
 }
 
-fn assert_recorded(name: &str, written: &[u8]) {
+pub(super) fn assert_recorded(name: &str, written: &[u8]) {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/onnx/");
     let recorded = std::fs::read(format!("{root}{name}.onnx")).unwrap();
     assert!(written == recorded, "the exported bytes of {name} changed");

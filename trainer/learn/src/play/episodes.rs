@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use sortie_envs::{Environment, Episode, Random, Split, Step};
 
+use crate::act::{Act, Scene, Scenes};
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
-use crate::method::{Act, Scene, Scenes};
 
 /// Episodes that are played at the same time.
 pub const WORLDS: usize = 64;
@@ -93,7 +93,6 @@ pub fn watch(
     seed: u64,
     onlooker: &mut dyn Onlooker,
 ) -> Result<Vec<Episode>, LearnError> {
-    let agents = worlds.spec().shape.agents;
     let first = episodes.start;
     let mut done = vec![Episode::default(); episodes.len()];
     let mut starts = episodes.map(|episode| Start::of(seed, episode));
@@ -104,22 +103,8 @@ pub fn watch(
         .map(|(instance, start)| start.begin(worlds, instance, &mut random))
         .collect();
     open.iter().try_for_each(|world| onlooker.started(world.watched(worlds)))?;
-    let mut actions = Vec::new();
     while !open.is_empty() {
-        actions.clear();
-        actions.resize(open.len() * agents, 0);
-        let scenes: Vec<Scene<'_>> = open.iter().map(Open::scene).collect();
-        team.act(&Scenes { environment: worlds, scenes: &scenes }, &mut random, &mut actions)?;
-        for (world, actions) in open.iter_mut().zip(actions.chunks_exact(agents)) {
-            worlds.note_allocation(world.instance, team.allocation(world.instance));
-            let step = worlds.step(world.instance, actions, &mut world.random)?;
-            onlooker.stepped(world.watched(worlds), actions, &step)?;
-            world.begins = false;
-            world.tasks_changed = step.tasks_changed;
-            world.state.clear();
-            worlds.save(world.instance, &mut world.state);
-            world.is_done = step.done();
-        }
+        round(worlds, team, &mut open, &mut random, onlooker)?;
         for world in open.iter_mut().filter(|world| world.is_done) {
             done[world.episode - first] = worlds.episode(world.instance);
             if let Some(start) = starts.next() {
@@ -130,6 +115,57 @@ pub fn watch(
         open.retain(|world| !world.is_done);
     }
     Ok(done)
+}
+
+/// Plays instances from the states that they are in to the end of their episodes; returns what each earned meanwhile, in
+/// their order.
+///
+/// Every instance comes with a generator for what the world leaves to chance; `random` holds one for what the team does,
+/// for every instance by its number.
+///
+/// # Errors
+/// The team cannot decide, or chose an action that is not available.
+pub(super) fn finish(
+    worlds: &mut dyn Environment,
+    team: &mut dyn Act,
+    instances: Vec<(usize, Random)>,
+    random: &mut [Random],
+) -> Result<Vec<f64>, LearnError> {
+    let mut earned = vec![0.0; instances.len()];
+    let go_on = |(place, (instance, random))| Open::at(worlds, (place, instance), random);
+    let mut open: Vec<Open> = instances.into_iter().enumerate().map(go_on).collect();
+    while !open.is_empty() {
+        round(worlds, team, &mut open, random, &mut ())?;
+        open.iter().for_each(|world| earned[world.episode] += world.reward);
+        open.retain(|world| !world.is_done);
+    }
+    Ok(earned)
+}
+
+/// Has the team act once in every open world.
+fn round(
+    worlds: &mut dyn Environment,
+    team: &mut dyn Act,
+    open: &mut [Open],
+    random: &mut [Random],
+    onlooker: &mut dyn Onlooker,
+) -> Result<(), LearnError> {
+    let agents = worlds.spec().shape.agents;
+    let mut actions = vec![0; open.len() * agents];
+    let scenes: Vec<Scene<'_>> = open.iter().map(Open::scene).collect();
+    team.act(&Scenes { environment: worlds, scenes: &scenes }, random, &mut actions)?;
+    for (world, actions) in open.iter_mut().zip(actions.chunks_exact(agents)) {
+        worlds.note_allocation(world.instance, team.allocation(world.instance));
+        let step = worlds.step(world.instance, actions, &mut world.random)?;
+        onlooker.stepped(world.watched(worlds), actions, &step)?;
+        world.begins = false;
+        world.tasks_changed = step.tasks_changed;
+        world.state.clear();
+        worlds.save(world.instance, &mut world.state);
+        world.reward = step.reward;
+        world.is_done = step.done();
+    }
+    Ok(())
 }
 
 /// An episode to be measured on.
@@ -154,10 +190,7 @@ impl Start {
         let Self { episode, world: mut random, team } = self;
         worlds.reset(instance, &mut random);
         teams[instance] = team;
-        let mut state = Vec::new();
-        worlds.save(instance, &mut state);
-        let (begins, tasks_changed, is_done) = (true, false, false);
-        Open { episode, instance, random, state, begins, tasks_changed, is_done }
+        Open { begins: true, ..Open::at(worlds, (episode, instance), random) }
     }
 }
 
@@ -169,10 +202,20 @@ struct Open {
     state: Vec<u8>,
     begins: bool,
     tasks_changed: bool,
+    /// Of the last step.
+    reward: f64,
     is_done: bool,
 }
 
 impl Open {
+    /// An episode that goes on in an instance from the state that it is in.
+    fn at(worlds: &dyn Environment, (episode, instance): (usize, usize), random: Random) -> Self {
+        let mut state = Vec::new();
+        worlds.save(instance, &mut state);
+        let (begins, tasks_changed, reward, is_done) = (false, false, 0.0, false);
+        Self { episode, instance, random, state, begins, tasks_changed, reward, is_done }
+    }
+
     fn watched<'a>(&self, worlds: &'a dyn Environment) -> Watched<'a> {
         Watched { episode: self.episode, worlds, instance: self.instance }
     }

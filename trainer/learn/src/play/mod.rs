@@ -1,6 +1,7 @@
 //! The loop in which teams play: to learn, and to be measured.
 
 mod episodes;
+mod planner;
 mod teams;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -9,12 +10,14 @@ use rand_core::Rng;
 use serde::{Deserialize, Serialize};
 use sortie_envs::{Environment, Random, Spec, Split, Step};
 
+use crate::act::{Scene, Scenes};
 use crate::error::LearnError;
-use crate::method::{Method, Now, Scene, Scenes, Transition};
+use crate::method::{Method, Now, Transition};
 use crate::run::EpisodeCounts;
 use crate::state::State;
 
 pub use episodes::{Onlooker, Start, WORLDS, Watched, evaluate, evaluate_watched, watch};
+pub use planner::{Planner, PlannerReport};
 pub use teams::{PolicyTeam, RandomTeam};
 
 /// Instances that are played to learn from.
@@ -221,7 +224,7 @@ mod tests {
     use sortie_envs::random::generator;
 
     use super::*;
-    use crate::method::Act;
+    use crate::act::Act;
     use crate::run::Rates;
 
     /// Stays, and counts the episodes that it is told of and those that it sees begin.

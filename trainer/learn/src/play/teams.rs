@@ -5,8 +5,8 @@ use sortie_core::{DecideError, EntityMask};
 use sortie_envs::random::{generator, member};
 use sortie_envs::{EntitySet, Observation, Random};
 
+use crate::act::{Act, Scenes};
 use crate::error::LearnError;
-use crate::method::{Act, Scenes};
 
 /// A deployed policy, agent by agent, on what each of them would see.
 #[derive(Debug)]

@@ -160,6 +160,16 @@ impl Counters {
         Self { next_evaluation: evaluate_every, ..Self::default() }
     }
 
+    /// Environment steps that a run comes to: all of them, or as many as so many processor seconds are enough for, as far as
+    /// can be told from those that were taken; 0 seconds: all.
+    pub(crate) fn steps_in_all(&self, steps: u64, cpu_s: f64) -> u64 {
+        if cpu_s == 0.0 || self.env_steps == 0 || self.cpu_s == 0.0 {
+            return steps;
+        }
+        let in_time = self.env_steps as f64 * (cpu_s / self.cpu_s);
+        steps.min((in_time as u64).max(self.env_steps))
+    }
+
     /// Counts the time since the clock was read last.
     pub(crate) fn add_time(&mut self, clock: &mut Clock) {
         let (wall_s, cpu_s) = clock.lap();
@@ -236,4 +246,21 @@ impl Clock {
 fn process_cpu_s() -> f64 {
     let time = clock_gettime(ClockId::ProcessCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_comes_to_as_many_steps_as_its_time_is_enough_for() {
+        let mut counters = Counters::new(1);
+        assert_eq!(counters.steps_in_all(1_000, 10.0), 1_000);
+        (counters.env_steps, counters.cpu_s) = (100, 2.0);
+        assert_eq!(counters.steps_in_all(1_000, 10.0), 500);
+        assert_eq!(counters.steps_in_all(300, 10.0), 300);
+        assert_eq!(counters.steps_in_all(1_000, 0.0), 1_000);
+        // Its time is over.
+        assert_eq!(counters.steps_in_all(1_000, 1.0), 100);
+    }
 }

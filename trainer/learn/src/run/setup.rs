@@ -191,6 +191,8 @@ pub struct RunConfig {
     pub products: String,
     /// Environment steps to learn for.
     pub steps: u64,
+    /// Processor seconds after which a run ends that has not taken all steps; 0: it takes them all.
+    pub cpu_seconds: f64,
     /// Environment steps from one evaluation to the next.
     pub evaluate_every: u64,
     /// Greedy episodes of an evaluation.
@@ -207,6 +209,7 @@ impl Default for RunConfig {
             from: String::new(),
             products: "widest".to_owned(),
             steps: 600_000,
+            cpu_seconds: 0.0,
             evaluate_every: 50_000,
             evaluate_episodes: 500,
             final_episodes: 2_000,

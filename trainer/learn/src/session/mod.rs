@@ -186,12 +186,15 @@ impl Session {
         if self.counters.env_steps == 0 {
             self.save(&mut saves, observer)?;
         }
-        while self.counters.env_steps < schedule.steps {
+        while self.counters.env_steps < self.now().of {
             if stop.load(Ordering::Relaxed) {
                 self.save(&mut saves, observer)?;
                 return Ok(Outcome::Stopped);
             }
             self.step(observer)?;
+            if schedule.cpu_seconds > 0.0 {
+                self.counters.add_time(&mut saves.clock);
+            }
             if let Some(point) = meter.measure(&self.counters, self.rates()) {
                 observer.trained(&point);
                 self.folder.write_training(&point)?;
@@ -214,7 +217,9 @@ impl Session {
     }
 
     fn now(&self) -> Now {
-        Now { env_steps: self.counters.env_steps, of: self.description.config.run.steps }
+        let RunConfig { steps, cpu_seconds, .. } = self.description.config.run;
+        let of = self.counters.steps_in_all(steps, cpu_seconds);
+        Now { env_steps: self.counters.env_steps, of }
     }
 
     fn rates(&self) -> Rates {

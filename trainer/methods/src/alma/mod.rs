@@ -32,10 +32,9 @@ macro_rules! flat_network {
 
 pub mod agents;
 pub mod coach;
-pub mod evaluate;
-pub mod export;
+mod export;
+mod learned;
 pub mod records;
-pub mod run;
 pub mod teams;
 pub mod windows;
 
@@ -48,11 +47,10 @@ use toml::Table;
 
 use agents::Conditioning;
 use records::{Records, STAND_INS};
-use run::learned;
 use teams::Allocation;
 use windows::WindowLearner;
 
-pub use run::{Run, RunAllocator};
+pub use export::{ProposalGraphs, export_proposals};
 
 /// What a run learns by.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,14 +93,6 @@ impl Config {
             Self::Windows(config) => config.low_level.conditioning,
         }
     }
-
-    /// Steps between decisions, unless the open tasks change.
-    pub fn interval(&self) -> u32 {
-        match self {
-            Self::Records(config) => config.allocation.interval,
-            Self::Windows(config) => config.allocation.interval,
-        }
-    }
 }
 
 fn keys(own: &Table) -> &'static [Section] {
@@ -133,6 +123,7 @@ fn settle_older(run: &mut Table) {
 pub const METHODS: [MethodEntry; 3] = [ALMA, FLAT, COPA];
 
 const MIXER: Flag = Flag { name: "--mixer", assignments: &["mixer.kind={}"] };
+const TEAM_MAX: Flag = Flag { name: "--team-max", assignments: &["allocation.team_max={}"] };
 
 /// ALMA: agents act on the subtasks that an allocator gives them.
 pub const ALMA: MethodEntry = MethodEntry {
@@ -145,6 +136,7 @@ pub const ALMA: MethodEntry = MethodEntry {
     ],
     flags: &[
         MIXER,
+        TEAM_MAX,
         Flag { name: "--no-mask", assignments: &["network.subtask=input"] },
         Flag { name: "--no-mask", assignments: &["low_level.conditioning=input"] },
         Flag { name: "--allocation", assignments: &["allocation.by={}"] },
@@ -235,17 +227,13 @@ fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
         return Err(LearnError::Config(reason));
     }
     Ok(match config {
-        Config::Records(config) => {
-            let records = Records::new(&config, environment, seed, threads);
-            Box::new(records.beginning_with(learned))
-        }
+        Config::Records(config) => Box::new(Records::new(&config, environment, seed, threads)),
         Config::Windows(_) if setup.environment.failures > 0.0 => {
             let reason = "`environment.failures` is for the preset `fast`: the allocator that proposes counts on all agents";
             return Err(LearnError::Config(reason.to_owned()));
         }
         Config::Windows(config) => {
-            let windows = WindowLearner::new(&config, environment.spec(), seed, threads);
-            Box::new(windows.beginning_with(learned))
+            Box::new(WindowLearner::new(&config, environment.spec(), seed, threads))
         }
     })
 }

@@ -6,23 +6,20 @@ use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Policy};
 use sortie_envs::random::{chance, member};
 use sortie_envs::{ActionSet, EntitySet, Observation, Random};
-use sortie_learn::export::{
-    AttentionNetwork, DeployedAgents, DeployedNetworks, GruCell, Layer, Layout, Matrix,
-};
-use sortie_nn::layers::gru::lengths;
+use sortie_learn::export::{DeployedAgents, DeployedNetworks};
+use sortie_learn::networks::{EntityAgent, EntityBatch};
+use sortie_learn::{Act, LearnError, Scenes};
+use sortie_nn::tape::Tape;
 
-use super::agent::AgentPass;
-use super::looking::views;
-use super::scenes::Scenes;
-use super::split_attention::HEADS;
-use super::temporal_difference::{Network, best};
+use super::loss::best;
 
 /// Buffers for the decisions of any number of teams at once, and what their agents remember.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub struct Acting {
-    scenes: Scenes,
+    batch: EntityBatch,
     slots: usize,
-    pass: AgentPass,
+    tape: Tape,
+    seen: Observation,
     /// Who acts, and whether its episode begins.
     instances: Vec<(usize, bool)>,
     /// `[teams, A, memory]`
@@ -32,28 +29,39 @@ pub struct Acting {
 }
 
 impl Acting {
+    /// Looks at scenes in the place of those before; what agents remember stays.
+    pub fn look(&mut self, scenes: &Scenes<'_>) {
+        self.clear();
+        let mut seen = std::mem::take(&mut self.seen);
+        for scene in scenes.scenes {
+            scenes.environment.observe(scene.state, 0, EntitySet::MAX, &mut seen);
+            self.push(scene.instance, scene.begins, &seen);
+        }
+        self.seen = seen;
+    }
+
     /// Forgets all teams, but not what they remember.
-    pub fn clear(&mut self) {
-        self.scenes.clear();
+    pub(super) fn clear(&mut self) {
+        self.batch.clear();
         self.instances.clear();
     }
 
     /// Adds the team of an instance.
-    pub fn push(&mut self, instance: usize, begins: bool, seen: &Observation) {
+    pub(super) fn push(&mut self, instance: usize, begins: bool, seen: &Observation) {
         self.slots = seen.observable.len();
         self.instances.push((instance, begins));
-        self.scenes.push(seen, |_| EntitySet::MAX);
+        self.batch.push(seen);
     }
 
     /// Writes for every team the best actions of its agents.
-    pub fn choose(&mut self, network: &Network, actions: &mut [u16]) {
-        self.decide(network, actions, |_, best, _| best);
+    pub fn choose(&mut self, agents: &EntityAgent, weights: &[f32], actions: &mut [u16]) {
+        self.decide((agents, weights), actions, |_, best, _| best);
     }
 
     /// The same, each replaced by a random one with the chance and by the generator of its team.
-    pub fn act<'a>(
+    pub fn explore<'a>(
         &mut self,
-        network: &Network,
+        network: (&EntityAgent, &[f32]),
         teams: impl Iterator<Item = (f32, &'a mut Random)>,
         actions: &mut [u16],
     ) {
@@ -70,18 +78,20 @@ impl Acting {
 
     fn decide(
         &mut self,
-        network: &Network,
+        (agents, weights): (&EntityAgent, &[f32]),
         actions: &mut [u16],
         mut choose: impl FnMut(usize, usize, ActionSet) -> usize,
     ) {
-        self.scenes.finish();
-        let shape = network.shape.agent;
+        let shape = agents.shape;
+        self.batch.aim_at(shape.targets.entities());
+        self.batch.finish(false);
         self.recall(shape.memory);
-        let memory = (shape.memory > 0).then_some(&mut *self.memory);
-        let scenes = (&self.scenes, 1);
-        let utilities = self.pass.forward_from(shape, network.agent(), scenes, memory);
-        let mut agents = utilities.chunks_exact(shape.actions).zip(self.scenes.available());
-        let teams = self.scenes.sizes().iter().zip(actions.chunks_exact_mut(self.slots.max(1)));
+        let Self { batch, tape, memory, .. } = self;
+        let mut pass = tape.begin(weights);
+        let utilities = agents.utilities(&mut pass, batch, batch.seen(), memory);
+        let rows = pass.values(utilities).chunks_exact(shape.actions);
+        let mut agents = rows.zip(batch.available());
+        let teams = batch.sizes().iter().zip(actions.chunks_exact_mut(self.slots.max(1)));
         for (team, (size, actions)) in teams.enumerate() {
             for (action, (utilities, available)) in
                 actions.iter_mut().zip(agents.by_ref().take(*size))
@@ -113,84 +123,90 @@ impl Acting {
     }
 }
 
-/// The agents of a network.
-pub(super) fn deployed(network: &Network) -> DeployedAgents<'_> {
-    let shape = network.shape.agent;
-    let [fc1, fc1_bias, attention_in, out, out_bias, skip, fc2, fc2_bias, unit, head, head_bias] =
-        shape.views(network.agent());
-    let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
-    let remembers = shape.memory > 0;
-    let memory = remembers.then(|| {
-        let [input, recurrent, input_bias, recurrent_bias] = views(unit, lengths(shape.memory));
-        GruCell {
-            input: Layer { weight: matrix(input), bias: input_bias },
-            recurrent: Layer { weight: matrix(recurrent), bias: recurrent_bias },
-        }
-    });
-    let layers = AttentionNetwork {
-        inputs: shape.input,
-        width: shape.width,
-        heads: HEADS,
-        base: shape.last(),
-        outputs: shape.actions,
-        fc1: Layer { weight: Matrix { values: fc1, layout: Layout::InputsFirst }, bias: fc1_bias },
-        attention_in: matrix(attention_in),
-        attention_out: Layer { weight: matrix(out), bias: out_bias },
-        skip: shape.skip.then(|| matrix(skip)),
-        fc2: remembers.then(|| Layer { weight: matrix(fc2), bias: fc2_bias }),
-        head: Layer { weight: matrix(head), bias: head_bias },
-    };
-    DeployedAgents {
-        networks: DeployedNetworks::Attention { network: layers, memory },
-        policy: Box::new(NetworkPolicy::new(network)),
+/// Agents that take the best action that they know.
+pub(super) struct Greedy<'a> {
+    agents: &'a EntityAgent,
+    weights: &'a [f32],
+    acting: Acting,
+}
+
+impl<'a> Greedy<'a> {
+    pub(super) fn new(agents: &'a EntityAgent, weights: &'a [f32]) -> Self {
+        Self { agents, weights, acting: Acting::default() }
     }
+}
+
+impl Act for Greedy<'_> {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        self.acting.look(scenes);
+        self.acting.choose(self.agents, self.weights, actions);
+        Ok(())
+    }
+}
+
+/// The agents as they are deployed.
+pub(super) fn deployed<'a>(agents: &'a EntityAgent, weights: &'a [f32]) -> DeployedAgents<'a> {
+    let (network, memory) = agents.deployed(weights);
+    let networks = DeployedNetworks::Attention { network, memory };
+    DeployedAgents { networks, policy: Box::new(NetworkPolicy::new(agents, weights)) }
 }
 
 /// Decides with the trainer's own forward pass: what golden observations expect of every engine.
 struct NetworkPolicy<'a> {
-    network: &'a Network,
-    pass: AgentPass,
-    scenes: Scenes,
+    agents: &'a EntityAgent,
+    weights: &'a [f32],
+    tape: Tape,
+    batch: EntityBatch,
     seen: Observation,
+    /// Entities in the order in which they are looked at.
+    order: Vec<usize>,
 }
 
+/// The number of an entity that is not seen: the last that there can be, which no order reaches that lacks one.
+const UNSEEN: usize = EntitySet::BITS as usize - 1;
+
 impl<'a> NetworkPolicy<'a> {
-    fn new(network: &'a Network) -> Self {
-        Self {
-            network,
-            pass: AgentPass::default(),
-            scenes: Scenes::default(),
-            seen: Observation { available: vec![0], ..Observation::default() },
-        }
+    fn new(agents: &'a EntityAgent, weights: &'a [f32]) -> Self {
+        let seen = Observation { available: vec![0], ..Observation::default() };
+        let (tape, batch, order) = (Tape::default(), EntityBatch::default(), Vec::new());
+        Self { agents, weights, tape, batch, seen, order }
     }
 
     /// The agent becomes the first entity and the only agent, what it sees follows.
     fn look(&mut self, observation: &sortie_core::Observation<'_>) -> Result<(), DecideError> {
         let own = observation.self_index;
-        let columns = self.network.shape.agent.input;
+        let columns = self.agents.shape.looking.input;
         let others = observation.visible.iter().filter(|entity| *entity != own);
         self.seen.rows.clear();
-        let mut entities = 0;
-        for entity in std::iter::once(own).chain(others) {
+        self.order.clear();
+        self.order.extend(std::iter::once(own).chain(others));
+        for entity in self.order.iter().copied() {
             let row = observation.rows.get(entity * observation.stride..);
             let row = row.and_then(|row| row.get(..columns)).ok_or(DecideError::BadLength)?;
             self.seen.rows.push_dense(row);
-            entities += 1;
         }
-        let all = EntitySet::MAX >> (EntitySet::BITS as usize - entities);
+        let all = EntitySet::MAX >> (EntitySet::BITS as usize - self.order.len());
         (self.seen.present, self.seen.entities) = (all, all);
         self.seen.observable.clear();
         self.seen.observable.push(if observation.visible.contains(own) { all } else { all & !1 });
-        self.scenes.clear();
-        self.scenes.push(&self.seen, |_| EntitySet::MAX);
-        self.scenes.finish();
+        self.batch.clear();
+        self.batch.push(&self.seen);
+        // Who is not seen has no number here, and is beyond all that have.
+        let place = |entity| self.order.iter().position(|it| *it == entity).unwrap_or(UNSEEN);
+        self.batch.aim_at(self.agents.shape.targets.entities().map(place));
+        self.batch.finish(false);
         Ok(())
     }
 }
 
 impl Policy for NetworkPolicy<'_> {
     fn actions(&self) -> usize {
-        self.network.shape.agent.actions
+        self.agents.shape.actions
     }
 
     fn utilities(
@@ -209,7 +225,7 @@ impl Policy for NetworkPolicy<'_> {
     }
 
     fn hidden(&self) -> usize {
-        self.network.shape.agent.memory
+        self.agents.shape.memory
     }
 
     fn utilities_with(
@@ -218,14 +234,15 @@ impl Policy for NetworkPolicy<'_> {
         hidden: &mut [f32],
         utilities: &mut [f32],
     ) -> Result<(), DecideError> {
-        let shape = self.network.shape.agent;
-        if hidden.len() != shape.memory {
-            return Err(DecideError::HiddenState { want: shape.memory, got: hidden.len() });
+        let want = self.agents.shape.memory;
+        if hidden.len() != want {
+            return Err(DecideError::HiddenState { want, got: hidden.len() });
         }
         self.look(observation)?;
-        let memory = (shape.memory > 0).then_some(hidden);
-        let scenes = (&self.scenes, 1);
-        let computed = self.pass.forward_from(shape, self.network.agent(), scenes, memory);
+        let Self { agents, batch, .. } = self;
+        let mut pass = self.tape.begin(self.weights);
+        let computed = agents.utilities(&mut pass, batch, batch.seen(), hidden);
+        let computed = pass.values(computed);
         if computed.len() != utilities.len() {
             return Err(DecideError::BadLength);
         }

@@ -1,30 +1,53 @@
 //! Value factorisation as a [`Method`].
 
-use sortie_envs::{EntitySet, Environment, Observation, Random};
-use sortie_learn::export::DeployedAgents;
-use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::{Rates, Reports};
-use sortie_learn::session::Opening;
-use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
+use std::ops::Range;
 
-use super::acting::{Acting, deployed};
-use super::learner::{Experience, Learner, Update};
-use super::looking::Tensor;
-use super::temporal_difference::Network;
-use super::{Config, Unit};
+use sortie_envs::{EntitySet, Environment, Random};
+use sortie_learn::export::DeployedAgents;
+use sortie_learn::learner::Rules;
+use sortie_learn::networks::Moment;
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::run::{Rates, Reports, UpdateReport};
+use sortie_learn::session::Opening;
+use sortie_learn::trajectory::{Capacity, Episode, Place, Widths};
+use sortie_learn::{
+    Act, LearnError, Learner, Method, Now, Scenes, State, Trajectories, Transition,
+};
+
+use super::acting::{Acting, Greedy, deployed};
+use super::loss::{Lesson, Networks};
+use super::{Config, ReplayConfig, ReturnsConfig, Unit};
+
+/// Records of a shard: so many rows fit into the processor's nearest cache.
+const RECORDS: usize = 32;
+/// States of a shard of whole episodes, one episode at least. Many share their rows.
+const STATES: usize = 128;
 
 /// Agents that learn from the team's reward, and what they have seen.
 #[derive(Debug)]
 pub struct ValueFactorisation {
     config: Config,
-    learner: Learner,
-    experience: Experience,
+    networks: Networks,
+    learner: Learner<Lesson>,
+    replay: Trajectories,
     /// Draws records and partitions.
     random: Random,
     acting: Acting,
-    updates: u64,
+    /// Updates that came due, also while there was too little to learn from.
+    due: u64,
     /// Environment steps before the first update.
     first: u64,
+    episodes: Vec<Episode>,
+    drawn: Vec<Drawn>,
+    shards: Vec<Range<usize>>,
+}
+
+/// What is learned from, and the part of the partition that is imagined in it.
+#[derive(Clone, Copy, Debug)]
+struct Drawn {
+    /// A whole episode, or a state as one of no steps.
+    episode: Episode,
+    part: EntitySet,
 }
 
 impl ValueFactorisation {
@@ -34,18 +57,163 @@ impl ValueFactorisation {
         let spec = environment.spec();
         let instances = setup.environment.instances;
         let mut weights = generator(seed, Purpose::Weights, 0);
-        let network = Network::initialise(config.shape(spec), &mut weights);
+        let (networks, parameters) = Networks::new(config.shape(spec), &mut weights);
+        let (rule, target_every) = (config.update.rule, config.update.target_every);
+        let rules = Rules { rule, target_every, ..Rules::from(&config.optimiser) };
+        let capacity = match config.replay.unit {
+            Unit::Steps => Capacity::States(config.replay.capacity / instances),
+            Unit::Episodes => Capacity::Episodes(config.replay.capacity),
+        };
+        let widths = Widths { agents: spec.shape.agents, ..Widths::default() };
         // Every instance needs to have played for longer than a record looks ahead.
         let first = (4 * config.returns.steps * instances).max(config.replay.batch) as u64;
         Self {
-            learner: Learner::new(config.clone(), network, threads),
-            experience: Experience::new(&config.replay, instances, spec),
+            learner: Learner::new(parameters, rules, threads),
+            networks,
+            replay: Trajectories::new(capacity, instances, widths),
             random: generator(seed, Purpose::Replay, 0),
             acting: Acting::default(),
-            updates: 0,
+            due: 0,
             first,
+            episodes: Vec::new(),
+            drawn: Vec::new(),
+            shards: Vec::new(),
             config,
         }
+    }
+
+    /// Makes an update.
+    fn learn(&mut self, environment: &dyn Environment, learning_rate: f32) -> UpdateReport {
+        let records = self.draw(environment.spec().shape.entities);
+        let Self { config, networks, learner, replay, drawn, shards, .. } = self;
+        let imagination = &config.imagination;
+        let imagined = imagination.partitions.imagines().then_some(imagination.share);
+        let gathering = Gathering { config, replay, environment };
+        learner.update(shards.len(), learning_rate, |shard| {
+            gathering.fill(shard.space, &drawn[shards[shard.number].clone()]);
+            networks.loss(shard, imagined, records)
+        })
+    }
+
+    /// Draws what an update learns from; returns how many records that are.
+    fn draw(&mut self, entities: usize) -> usize {
+        let Self { config, replay, random, episodes, drawn, shards, .. } = self;
+        let (batch, partitions) = (config.replay.batch, config.imagination.partitions);
+        drawn.clear();
+        if config.replay.unit == Unit::Steps {
+            drawn.extend((0..batch).map(|_| {
+                let first = replay.draw(config.returns.steps, random);
+                let episode = Episode { first, steps: 0 };
+                Drawn { episode, part: partitions.draw(entities, random) }
+            }));
+            cut(drawn, RECORDS, |_| 1, shards);
+            return batch;
+        }
+        replay.draw_episodes(batch, random, episodes);
+        drawn.extend(
+            episodes.iter().map(|episode| Drawn {
+                episode: *episode,
+                part: partitions.draw(entities, random),
+            }),
+        );
+        // Episodes of about one length go through time together.
+        drawn.sort_by_key(|drawn| drawn.episode.steps);
+        cut(drawn, STATES, |drawn| drawn.episode.steps + 1, shards);
+        drawn.iter().map(|drawn| drawn.episode.steps).sum()
+    }
+}
+
+/// Cuts a list into ranges of about so many states, at least one item each.
+fn cut<T>(items: &[T], most: usize, states: impl Fn(&T) -> usize, ranges: &mut Vec<Range<usize>>) {
+    ranges.clear();
+    let mut sum = most;
+    for (index, item) in items.iter().enumerate() {
+        sum += states(item);
+        match ranges.last_mut() {
+            Some(range) if sum <= most => range.end = index + 1,
+            _ => {
+                ranges.push(index..index + 1);
+                sum = states(item);
+            }
+        }
+    }
+}
+
+/// What lessons are made of.
+struct Gathering<'a> {
+    config: &'a Config,
+    replay: &'a Trajectories,
+    environment: &'a dyn Environment,
+}
+
+impl Gathering<'_> {
+    /// Looks at what was drawn.
+    fn fill(&self, lesson: &mut Lesson, drawn: &[Drawn]) {
+        lesson.clear();
+        let is_whole = self.config.replay.unit == Unit::Episodes;
+        // The states of an episode are alike in most of their rows.
+        lesson.before.share_rows(is_whole);
+        for (number, Drawn { episode, part }) in drawn.iter().enumerate() {
+            if is_whole {
+                self.add_episode(lesson, (number, *episode), *part);
+            } else {
+                self.add_record(lesson, *episode, *part);
+            }
+        }
+        let targets = self.config.targets(self.environment.spec());
+        lesson.before.aim_at(targets.entities());
+        lesson.after.aim_at(targets.entities());
+        lesson.before.finish(self.config.imagination.partitions.imagines());
+        lesson.after.finish(false);
+    }
+
+    /// A state, and the one some steps later.
+    fn add_record(&self, lesson: &mut Lesson, Episode { first, .. }: Episode, part: EntitySet) {
+        let ReturnsConfig { steps, discount } = self.config.returns;
+        let number = lesson.rewards.len();
+        self.add_state(lesson, (first, Moment { step: 0, episode: number }), part);
+        let future = self.replay.future(first, steps, discount);
+        lesson.rewards.push(future.reward);
+        lesson.discounts.push(future.discount);
+        lesson.next.push(Some(number as u32));
+        let seen = &mut lesson.seen;
+        self.environment.observe(self.replay.state(future.place), 0, EntitySet::MAX, seen);
+        lesson.after.push(seen);
+    }
+
+    /// The states of a whole episode.
+    fn add_episode(
+        &self,
+        lesson: &mut Lesson,
+        (number, episode): (usize, Episode),
+        part: EntitySet,
+    ) {
+        let ReturnsConfig { steps, discount } = self.config.returns;
+        let start = lesson.rewards.len();
+        for step in 0..=episode.steps {
+            let place = episode.first.after(step);
+            self.add_state(lesson, (place, Moment { step, episode: number }), part);
+            let future = self.replay.future(place, steps, discount);
+            let ahead = (step < episode.steps).then(|| start + future.place.since(episode.first));
+            lesson.next.push(ahead.map(|ahead| ahead as u32));
+            lesson.rewards.push(future.reward);
+            lesson.discounts.push(future.discount);
+        }
+    }
+
+    /// Adds a state, what was done in it, and a part of its entities.
+    fn add_state(&self, lesson: &mut Lesson, (place, moment): (Place, Moment), part: EntitySet) {
+        let partitions = self.config.imagination.partitions;
+        let Lesson { before, seen, companions, actions, .. } = lesson;
+        let state = self.replay.state(place);
+        self.environment.observe(state, 0, EntitySet::MAX, seen);
+        companions.resize(self.environment.spec().shape.agents, EntitySet::MAX);
+        if partitions.needs_companions() {
+            self.environment.companions(state, companions);
+        }
+        before.push_at(moment, seen, |agent| partitions.within(part, companions[agent], agent));
+        let done = &self.replay.actions(place)[..seen.agents()];
+        actions.extend(done.iter().map(|action| u32::from(*action)));
     }
 }
 
@@ -68,12 +236,13 @@ impl Method for ValueFactorisation {
         let chances = scenes.scenes.iter().map(|scene| (epsilon * factor(scene.instance)).min(1.0));
         let teams = chances.zip(scenes.generators(random));
         self.acting.look(scenes);
-        self.acting.act(self.learner.online(), teams, actions);
+        let network = (&self.networks.agents, &*self.learner.online.values);
+        self.acting.explore(network, teams, actions);
         Ok(())
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
-        self.experience.push(transition);
+        self.replay.push(transition);
         Ok(())
     }
 
@@ -84,17 +253,17 @@ impl Method for ValueFactorisation {
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
         let due = match self.config.replay.steps_per_update {
-            0 => self.experience.finished(),
+            0 => self.replay.finished(),
             every => now.env_steps.saturating_sub(self.first) / every,
         };
         let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
-        let batch = self.config.replay.batch;
-        while self.updates < due {
-            self.updates += 1;
-            let moves_target = self.updates.is_multiple_of(self.config.update.target_every);
-            let update = Update { learning_rate, moves_target };
-            let Self { experience, learner, random, .. } = self;
-            reports.agents.extend(experience.teach(learner, environment, update, random, batch));
+        let ReplayConfig { unit, batch, .. } = self.config.replay;
+        let has_batch = unit == Unit::Steps || self.replay.episodes() >= batch;
+        while self.due < due {
+            self.due += 1;
+            if has_batch {
+                reports.agents.push(self.learn(environment, learning_rate));
+            }
         }
         Ok(())
     }
@@ -107,61 +276,21 @@ impl Method for ValueFactorisation {
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
-        Box::new(Greedy { network: self.learner.average(), acting: Acting::default() })
+        Box::new(Greedy::new(&self.networks.agents, &self.learner.average))
     }
 
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
-        let Learner { online, target, average, optimiser, .. } = &mut self.learner;
-        let tensors: Vec<_> = online.shape.tensors().iter().map(Tensor::saved).collect();
-        for (name, vector) in [
-            ("online", &mut online.parameters),
-            ("target", &mut target.parameters),
-            ("average", &mut average.parameters),
-        ] {
-            state.tensors(name, &tensors, vector)?;
-        }
-        optimiser.state(state, &tensors)?;
-        state.value("updates", &mut self.updates)?;
+        self.learner.state(state)?;
+        state.value("due", &mut self.due)?;
         state.value("random", &mut self.random)?;
         if self.config.network.memory > 0 {
             state.value("memories", &mut self.acting.memories)?;
         }
-        self.experience.state(state)
+        self.replay.visit(state)
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
-        Ok(deployed(self.learner.average()))
-    }
-}
-
-/// Agents that take the best action that they know.
-struct Greedy<'a> {
-    network: &'a Network,
-    acting: Acting,
-}
-
-impl Act for Greedy<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
-        self.acting.look(scenes);
-        self.acting.choose(self.network, actions);
-        Ok(())
-    }
-}
-
-impl Acting {
-    /// Looks at scenes in the place of those before.
-    fn look(&mut self, scenes: &Scenes<'_>) {
-        self.clear();
-        let mut seen = Observation::default();
-        for scene in scenes.scenes {
-            scenes.environment.observe(scene.state, 0, EntitySet::MAX, &mut seen);
-            self.push(scene.instance, scene.begins, &seen);
-        }
+        Ok(deployed(&self.networks.agents, &self.learner.average))
     }
 }
 
@@ -245,9 +374,7 @@ mod tests {
 
     /// What an update finds that changes nothing.
     fn found(method: &mut ValueFactorisation, ring: &dyn Environment) -> UpdateReport {
-        let ValueFactorisation { learner, experience, random, config, .. } = method;
-        let update = Update { learning_rate: 0.0, moves_target: false };
-        experience.teach(learner, ring, update, random, config.replay.batch).unwrap()
+        method.learn(ring, 0.0)
     }
 
     #[test]
@@ -263,7 +390,7 @@ mod tests {
             method.update(&*ring, now, &mut reports).unwrap();
             assert_eq!(reports.agents.len(), 1, "{env_steps}");
             let Learner { online, target, .. } = &method.learner;
-            assert_eq!(target == online, copied, "{env_steps}");
+            assert_eq!(*target == online.values, copied, "{env_steps}");
             assert_eq!(*target == first, env_steps < 15, "{env_steps}");
         }
     }
@@ -273,9 +400,8 @@ mod tests {
         let end = |terminated, timed_out| {
             let step = Step { reward: 2.0, terminated, timed_out, ..Step::default() };
             let mut method = seen(&mut *ring(), 32, step);
-            let Experience::Steps(replay) = &method.experience else { panic!("steps") };
-            let place = replay.draw(1, &mut method.random);
-            let future = replay.future(place, 1, 0.5);
+            let place = method.replay.draw(1, &mut method.random);
+            let future = method.replay.future(place, 1, 0.5);
             (future.reward, future.discount)
         };
         assert_eq!(end(true, false), (2.0, 0.0));

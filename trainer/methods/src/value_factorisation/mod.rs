@@ -5,16 +5,9 @@
 //! which each agent sees only its part of a random partition, or only the rest.
 
 mod acting;
-mod agent;
-mod learner;
-mod looking;
-mod memory;
+mod loss;
 mod method;
-mod mixer;
-mod replay;
-mod scenes;
-mod split_attention;
-mod temporal_difference;
+mod partitions;
 #[cfg(test)]
 mod tests;
 
@@ -23,22 +16,23 @@ use sortie_learn::configuration::Range::{self, OneOf, Truth, Whole};
 use sortie_learn::configuration::{
     EXPLORATION, ExplorationConfig, OPTIMISER, OptimiserConfig, SHARE,
 };
+use sortie_learn::learner::Rule;
+use sortie_learn::networks::{
+    AgentShape, Hypernetworks, LookShape, MixerKind, MixerShape, Targets, WeightsSum,
+};
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method, sections, words};
 
-use split_attention::WIDTHS;
-
 pub use acting::Acting;
-pub use agent::{AgentPass, AgentShape};
-pub use learner::{Learner, Update};
-pub use memory::Moment;
+pub use loss::{Lesson, Losses, NetworkShape, Networks};
 pub use method::ValueFactorisation;
-pub use mixer::{Hypernetworks, MixerKind, MixerPass, MixerShape, Slopes, Teams};
-pub use replay::{Ahead, End, Episode, Episodes, Future, Place, Replay};
-pub use scenes::{Partitions, Scenes};
-pub use temporal_difference::{Batch, Losses, Network, NetworkShape, TemporalDifference};
+pub use partitions::Partitions;
 
+/// Attention heads, as in all experiments of the dissertation.
+const HEADS: usize = 4;
+/// The widths that attention is built for.
+const WIDTHS: [usize; 4] = [16, 32, 64, 128];
 const SIZE: i64 = 20_000_000;
 const COLUMNS: Range = Whole(0, 1024);
 
@@ -57,6 +51,10 @@ sections! {
         /// Width of what agents remember in a gated recurrent unit, which needs `replay.unit=episodes`; 0: nothing.
         #[serde(default)]
         memory: usize = 0, COLUMNS, "columns";
+        /// What values actions that are aimed at entities: a vector that points at their embeddings, or weights of each
+        /// action's own, for which an entity is its number.
+        #[serde(default)]
+        head: Head = Head::Pointing, OneOf(Head::WORDS);
     }
 
     /// How the utilities of a team become its value.
@@ -68,6 +66,9 @@ sections! {
         hypernetworks: Hypernetworks = Hypernetworks::Shared, OneOf(Hypernetworks::WORDS);
         /// Width between the layers of `qmix`.
         mixing: usize = 32, Whole(1, 1024), "columns";
+        /// What the weights of `linear` add up to: one, or the number of agents.
+        #[serde(default)]
+        weights_sum: WeightsSum = WeightsSum::One, OneOf(WeightsSum::WORDS);
     }
 
     /// Utilities of agents that see only their part of a partition, or only the rest, mixed to the same value.
@@ -123,6 +124,18 @@ sections! {
 }
 
 words! {
+    /// What values actions that are aimed at entities.
+    #[derive(Default)]
+    Head {
+        /// The product of the agent's vector with the entity's embedding.
+        #[default]
+        Pointing = "pointing",
+        /// Weights of the action's own.
+        Numbered = "numbered",
+    }
+}
+
+words! {
     /// What is kept, and drawn for an update.
     #[derive(Default)]
     Unit {
@@ -134,25 +147,22 @@ words! {
     }
 }
 
-words! {
-    /// How weights follow the gradient.
-    Rule {
-        /// By its running mean, scaled by the root of its running square.
-        Adam = "adam",
-        /// By itself, scaled by the root of its running square.
-        RmsProp = "rmsprop",
-    }
-}
-
 impl Config {
     /// The preset `paper` of A-QMIX: the dissertation's, as its chapter 5 learns Group Matching.
     pub fn paper() -> Self {
         Self {
-            network: NetworkConfig { width: 64, active_inputs: 0, skip: false, memory: 0 },
+            network: NetworkConfig {
+                width: 64,
+                active_inputs: 0,
+                skip: false,
+                memory: 0,
+                head: Head::Pointing,
+            },
             mixer: MixerConfig {
                 kind: MixerKind::Linear,
                 hypernetworks: Hypernetworks::Separate,
                 mixing: 32,
+                weights_sum: WeightsSum::One,
             },
             imagination: ImaginationConfig { partitions: Partitions::None, share: 0.5 },
             returns: ReturnsConfig { steps: 1, discount: 0.99 },
@@ -182,13 +192,23 @@ impl Config {
 
     /// The networks for an environment.
     pub fn shape(&self, spec: &Spec) -> NetworkShape {
-        let NetworkConfig { width, active_inputs, skip, memory } = self.network;
-        let MixerConfig { kind, hypernetworks, mixing } = self.mixer;
+        let NetworkConfig { width, active_inputs, skip, memory, .. } = self.network;
+        let MixerConfig { kind, hypernetworks, mixing, weights_sum } = self.mixer;
         let Shape { features: input, actions, .. } = spec.shape;
         let active_inputs = if active_inputs == 0 { input } else { active_inputs };
+        let looking = LookShape { input, active_inputs, width, heads: HEADS };
         NetworkShape {
-            agent: AgentShape { input, active_inputs, width, actions, skip, memory },
-            mixer: MixerShape { kind, hypernetworks, input, active_inputs, width, mixing },
+            agent: AgentShape { looking, actions, skip, memory, targets: self.targets(spec) },
+            mixer: MixerShape { kind, hypernetworks, weights_sum, looking, mixing },
+        }
+    }
+
+    /// What the agents point at.
+    fn targets(&self, spec: &Spec) -> Targets {
+        if self.network.head == Head::Pointing {
+            Targets { first: spec.targets.start, count: spec.targets.len() }
+        } else {
+            Targets::default()
         }
     }
 }

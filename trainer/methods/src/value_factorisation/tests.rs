@@ -1,10 +1,12 @@
 use std::collections::BTreeMap;
 
 use sortie_envs::{EntitySet, Observation};
+use sortie_learn::learner::Shard;
+use sortie_learn::networks::{EntityBatch, Moment};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::stream;
+use sortie_nn::tape::{Parameters, Tape, Tensor};
 
-use super::looking::Tensor;
 use super::*;
 
 const COLUMNS: usize = 9;
@@ -13,12 +15,48 @@ const PARTITIONS: [Partitions; 4] =
 const MIXERS: [MixerKind; 3] = [MixerKind::Sum, MixerKind::Linear, MixerKind::Qmix];
 
 fn shape(kind: MixerKind, skip: bool) -> NetworkShape {
-    let (input, active_inputs, width) = (COLUMNS, 3, 16);
-    let hypernetworks = Hypernetworks::Shared;
+    let looking = LookShape { input: COLUMNS, active_inputs: 3, width: 16, heads: HEADS };
+    let (hypernetworks, weights_sum) = (Hypernetworks::Shared, WeightsSum::One);
     NetworkShape {
-        agent: AgentShape { input, active_inputs, width, actions: 4, skip, memory: 0 },
-        mixer: MixerShape { kind, hypernetworks, input, active_inputs, width, mixing: 4 },
+        agent: AgentShape { looking, actions: 4, skip, memory: 0, targets: Targets::default() },
+        mixer: MixerShape { kind, hypernetworks, weights_sum, looking, mixing: 4 },
     }
+}
+
+fn networks(shape: NetworkShape, seed: u64) -> (Networks, Parameters) {
+    Networks::new(shape, &mut stream(seed, 1, 0))
+}
+
+/// Adds to `gradient` that of the mean loss over three records.
+fn descend(
+    networks: &Networks,
+    [online, target]: [&[f32]; 2],
+    lesson: &mut Lesson,
+    imagined: Option<f32>,
+    gradient: &mut [f32],
+) -> Losses {
+    let [mut tape, mut spare] = [Tape::default(), Tape::default()];
+    let pass = tape.begin(online);
+    let mut shard =
+        Shard { number: 0, pass, spare: &mut spare, online, target, space: &mut *lesson };
+    let loss = networks.loss(&mut shard, imagined, 3);
+    shard.pass.backward(loss.total, gradient);
+    lesson.losses
+}
+
+/// Utilities by these weights.
+fn utilities_of(
+    networks: &Networks,
+    weights: &[f32],
+    batch: &EntityBatch,
+    in_parts: bool,
+) -> Vec<f32> {
+    let mut tape = Tape::default();
+    let mut pass = tape.begin(weights);
+    let view = if in_parts { batch.seen() } else { batch.seen().whole() };
+    let memory = &mut vec![0.0; batch.slots(view) * networks.agents.shape.memory];
+    let utilities = networks.agents.utilities(&mut pass, batch, view, memory);
+    pass.values(utilities).to_vec()
 }
 
 /// What is there in each of three states of three agents and two others, and what agents observe of it:
@@ -44,50 +82,49 @@ fn states(seed: u64, sees: impl Fn(usize) -> EntitySet) -> Vec<Observation> {
     PRESENT.into_iter().enumerate().map(state).collect()
 }
 
-fn fill(scenes: &mut Scenes, seed: u64, partitions: Partitions) {
-    scenes.clear();
-    for seen in states(seed, |_| EntitySet::MAX) {
-        scenes.push(&seen, |agent| partitions.within(PART, COMPANIONS[agent], agent));
+fn batch_of(seed: u64, partitions: Partitions, in_parts: bool) -> EntityBatch {
+    let mut batch = EntityBatch::default();
+    for (episode, seen) in states(seed, |_| EntitySet::MAX).into_iter().enumerate() {
+        push(&mut batch, &(Moment { step: 0, episode }, seen), partitions);
     }
-    scenes.finish();
-}
-
-fn batch(partitions: Partitions) -> Batch {
-    let mut batch = Batch::default();
-    fill(&mut batch.before, 10, partitions);
-    fill(&mut batch.after, 20, Partitions::None);
-    batch.actions = vec![0, 3, 1, 2, 2, 0, 1, 3];
-    batch.rewards = vec![0.5, -0.25, 2.0];
-    batch.discounts = vec![0.9, 0.0, 0.7];
+    batch.finish(in_parts);
     batch
 }
 
-/// The loss that [`TemporalDifference::descend`] says it descends, from forward passes alone.
-fn loss(online: &Network, targets: &[Option<f32>], batch: &Batch, imagined: Option<f32>) -> f64 {
-    let shape = online.shape;
-    let blocks = if imagined.is_some() { 3 } else { 1 };
-    let (agent, mixer) = online.parameters.split_at(shape.agent.parameters());
-    let mut pass = AgentPass::default();
-    let utilities = pass.forward(shape.agent, agent, &batch.before, blocks);
-    let chosen: Vec<f32> = utilities
-        .chunks(4)
-        .enumerate()
-        .map(|(row, utilities)| utilities[usize::from(batch.actions[row % batch.before.agents()])])
-        .collect();
-    let mut pass = MixerPass::default();
-    let (values, dreams) = pass.forward(
-        shape.mixer,
-        mixer,
-        Teams { scenes: &batch.before, utilities: &chosen },
-        blocks,
-    );
-    let mean = |values: &[f32]| {
-        let errors =
-            values.iter().zip(targets).filter_map(|(v, t)| Some(f64::from(v - (*t)?).powi(2)));
+fn records(partitions: Partitions) -> Lesson {
+    let mut lesson = Lesson::default();
+    lesson.before = batch_of(10, partitions, partitions.imagines());
+    lesson.after = batch_of(20, Partitions::None, false);
+    lesson.actions = vec![0, 3, 1, 2, 2, 0, 1, 3];
+    lesson.rewards = vec![0.5, -0.25, 2.0];
+    lesson.discounts = vec![0.9, 0.0, 0.7];
+    lesson.next = vec![Some(0), Some(1), Some(2)];
+    lesson
+}
+
+/// The loss that is descended, from forward passes alone.
+fn loss(
+    networks: &Networks,
+    weights: &[f32],
+    targets: &[f32],
+    lesson: &Lesson,
+    imagined: Option<f32>,
+) -> f64 {
+    let mut tape = Tape::default();
+    let mut pass = tape.begin(weights);
+    let (batch, blocks) = (&lesson.before, if imagined.is_some() { 3 } else { 1 });
+    let view = if imagined.is_some() { batch.seen() } else { batch.seen().whole() };
+    let memory = &mut vec![0.0; batch.slots(view) * networks.agents.shape.memory];
+    let utilities = networks.agents.utilities(&mut pass, batch, view, memory);
+    let chosen = pass.pick(utilities, &lesson.actions.repeat(blocks));
+    let mixed = networks.mixer.mix(&mut pass, batch, chosen);
+    let mean = |values| {
+        let learnt = lesson.next.iter().zip(pass.values(values)).filter(|(next, _)| next.is_some());
+        let errors = learnt.zip(targets).map(|((_, v), t)| f64::from(v - t).powi(2));
         errors.sum::<f64>() / 3.0
     };
     let lambda = f64::from(imagined.unwrap_or(0.0));
-    (1.0 - lambda) * mean(values) + lambda * mean(dreams)
+    (1.0 - lambda) * mean(mixed.real) + lambda * mixed.imagined.map_or(0.0, mean)
 }
 
 #[test]
@@ -95,34 +132,36 @@ fn gradients_agree_with_finite_differences() {
     for partitions in PARTITIONS {
         for kind in MIXERS {
             for skip in [true, false] {
-                check_gradients(shape(kind, skip), partitions, &batch(partitions), 1.0);
+                let mut shape = shape(kind, skip);
+                shape.mixer.weights_sum = if skip { WeightsSum::One } else { WeightsSum::Agents };
+                check_gradients(shape, partitions, &mut records(partitions), 1.0);
             }
         }
     }
 }
 
 /// What is descended has the slopes of the loss, with first weights that are so many times as large as usual.
-fn check_gradients(shape: NetworkShape, partitions: Partitions, batch: &Batch, scale: f32) {
-    let mut online = Network::initialise(shape, &mut stream(1, 1, 0));
-    online.parameters.iter_mut().for_each(|parameter| *parameter *= scale);
-    let target = Network::initialise(shape, &mut stream(2, 1, 0));
+fn check_gradients(shape: NetworkShape, partitions: Partitions, lesson: &mut Lesson, scale: f32) {
+    let (networks, mut online) = networks(shape, 1);
+    online.values.iter_mut().for_each(|parameter| *parameter *= scale);
+    let target = self::networks(shape, 2).1;
     let imagined = partitions.imagines().then_some(0.3);
-    let mut gradient = vec![0.0; shape.parameters()];
-    let mut pass = TemporalDifference::default();
-    pass.descend(&online, &target, batch, imagined, 3, &mut gradient);
-    let targets = pass.targets().to_vec();
+    let mut gradient = vec![0.0; online.values.len()];
+    let both = [&*online.values, &target.values];
+    descend(&networks, both, lesson, imagined, &mut gradient);
+    let targets = lesson.targets().to_vec();
     // A softmax does not change with what is added to all of its scores.
-    let matters = |tensor: &Tensor| {
+    let matters = |tensor: &&Tensor| {
         tensor.name != "mixer.weights.project.bias" || shape.mixer.kind != MixerKind::Linear
     };
-    for tensor in shape.tensors().into_iter().filter(matters) {
+    for tensor in online.tensors().iter().filter(matters) {
         let name = format!("{} of {partitions:?} {shape:?}", tensor.name);
-        let place = tensor.range;
-        let at = &online.parameters[place.clone()];
+        let place = tensor.range.clone();
+        let at = &online.values[place.clone()];
         assert_gradient(&name, at, &gradient[place.clone()], |moved| {
-            let mut network = online.clone();
-            network.parameters[place.clone()].copy_from_slice(moved);
-            loss(&network, &targets, batch, imagined)
+            let mut weights = online.values.clone();
+            weights[place.clone()].copy_from_slice(moved);
+            loss(&networks, &weights, &targets, lesson, imagined)
         });
     }
 }
@@ -147,53 +186,49 @@ fn story() -> Vec<(Moment, Observation)> {
     moments.into_iter().zip(all).collect()
 }
 
-fn push(scenes: &mut Scenes, (moment, seen): &(Moment, Observation), partitions: Partitions) {
+fn push(batch: &mut EntityBatch, (moment, seen): &(Moment, Observation), partitions: Partitions) {
     let within = |agent: usize| partitions.within(PART, COMPANIONS[agent], agent);
-    scenes.push_at(*moment, seen, within);
+    batch.push_at(*moment, seen, within);
 }
 
 /// What was done in a state.
-fn done(state: usize, seen: &Observation) -> impl Iterator<Item = u16> {
+fn done(state: usize, seen: &Observation) -> impl Iterator<Item = u32> {
     let agents = (seen.present & 0b111).count_ones() as usize;
-    (0..agents).map(move |agent| ((agent + state) % 4) as u16)
+    (0..agents).map(move |agent| ((agent + state) % 4) as u32)
 }
 
-/// The episodes as they are learned from, so many times.
-fn episodes_times(scenes: Scenes, partitions: Partitions, times: usize) -> Batch {
-    let mut batch = Batch { before: scenes, ..Batch::default() };
-    for time in 0..times {
-        for (state, (moment, seen)) in story().into_iter().enumerate() {
-            let moment = Moment { episode: moment.episode + 2 * time, ..moment };
-            push(&mut batch.before, &(moment, seen.clone()), partitions);
-            batch.actions.extend(done(state + time, &seen));
-        }
-        let next = [Some(1), Some(2), None, Some(4), None];
-        batch.next.extend(next.map(|next| Some(next? + 5 * time)));
-        batch.rewards.extend([0.5, -0.25, 0.0, 2.0, 0.0]);
-        batch.discounts.extend([0.9, 0.0, 0.0, 0.7, 0.0]);
+/// The episodes as they are learned from, of which equal rows are one, or are not.
+fn episodes(shares: bool, partitions: Partitions) -> Lesson {
+    let mut lesson = Lesson::default();
+    lesson.before.share_rows(shares);
+    for (state, (moment, seen)) in story().into_iter().enumerate() {
+        lesson.actions.extend(done(state, &seen));
+        push(&mut lesson.before, &(moment, seen), partitions);
     }
-    batch.before.finish();
-    batch
-}
-
-fn episodes(scenes: Scenes, partitions: Partitions) -> Batch {
-    episodes_times(scenes, partitions, 1)
+    lesson.next.extend([Some(1), Some(2), None, Some(4), None]);
+    lesson.rewards.extend([0.5, -0.25, 0.0, 2.0, 0.0]);
+    lesson.discounts.extend([0.9, 0.0, 0.0, 0.7, 0.0]);
+    lesson.before.finish(partitions.imagines());
+    lesson
 }
 
 /// Their steps, each with the state that followed.
-fn steps_of_episodes() -> Batch {
-    let mut batch = Batch::default();
+fn steps_of_episodes() -> Lesson {
+    let mut lesson = Lesson::default();
     let story = story();
-    for (state, reward, discount) in [(0, 0.5, 0.9), (1, -0.25, 0.0), (3, 2.0, 0.7)] {
-        batch.before.push(&story[state].1, |_| EntitySet::MAX);
-        batch.after.push(&story[state + 1].1, |_| EntitySet::MAX);
-        batch.actions.extend(done(state, &story[state].1));
-        batch.rewards.push(reward);
-        batch.discounts.push(discount);
+    for (record, (state, reward, discount)) in
+        [(0, 0.5, 0.9), (1, -0.25, 0.0), (3, 2.0, 0.7)].into_iter().enumerate()
+    {
+        lesson.before.push(&story[state].1);
+        lesson.after.push(&story[state + 1].1);
+        lesson.actions.extend(done(state, &story[state].1));
+        lesson.rewards.push(reward);
+        lesson.discounts.push(discount);
+        lesson.next.push(Some(record as u32));
     }
-    batch.before.finish();
-    batch.after.finish();
-    batch
+    lesson.before.finish(false);
+    lesson.after.finish(false);
+    lesson
 }
 
 #[test]
@@ -204,8 +239,7 @@ fn gradients_of_whole_episodes_agree_with_finite_differences() {
                 let mut shape = shape(kind, memory > 0);
                 shape.agent.memory = memory;
                 shape.mixer.hypernetworks = Hypernetworks::Separate;
-                let batch = episodes(Scenes::sharing(), partitions);
-                check_gradients(shape, partitions, &batch, 2.1);
+                check_gradients(shape, partitions, &mut episodes(true, partitions), 2.1);
             }
         }
     }
@@ -213,31 +247,19 @@ fn gradients_of_whole_episodes_agree_with_finite_differences() {
 
 #[test]
 fn shared_rows_change_nothing() {
-    // Few pairs, and so many that scores are taken of rows by rows.
-    for (skip, times) in [(true, 1), (false, 1), (true, 12), (false, 12)] {
-        let shape = shape(MixerKind::Qmix, skip);
-        let online = Network::initialise(shape, &mut stream(1, 1, 0));
-        let target = Network::initialise(shape, &mut stream(2, 1, 0));
-        let [shared, apart] = [Scenes::sharing(), Scenes::default()].map(|scenes| {
-            let batch = episodes_times(scenes, Partitions::Drawn, times);
-            assert_eq!(
-                batch.before.seen().is_by_rows(),
-                times > 1 && !batch.before.seen().own.is_empty()
-            );
-            let mut gradient = vec![0.0; shape.parameters()];
-            let mut pass = TemporalDifference::default();
-            let losses =
-                pass.descend(&online, &target, &batch, Some(0.3), 3 * times, &mut gradient);
+    for skip in [true, false] {
+        let (networks, online) = networks(shape(MixerKind::Qmix, skip), 1);
+        let target = self::networks(shape(MixerKind::Qmix, skip), 2).1;
+        let [shared, apart] = [true, false].map(|shares| {
+            let mut lesson = episodes(shares, Partitions::Drawn);
+            assert_eq!(lesson.before.seen().own.is_empty(), !shares);
+            let mut gradient = vec![0.0; online.values.len()];
+            let both = [&*online.values, &target.values];
+            let losses = descend(&networks, both, &mut lesson, Some(0.3), &mut gradient);
             (losses, gradient)
         });
-        let times = times as f64;
-        assert!(
-            (shared.0.real - apart.0.real).abs() < 1e-5 * times,
-            "{:?} {:?}",
-            shared.0,
-            apart.0
-        );
-        assert!((shared.0.imagined - apart.0.imagined).abs() < 1e-5 * times);
+        assert!((shared.0.real - apart.0.real).abs() < 1e-5, "{:?} {:?}", shared.0, apart.0);
+        assert!((shared.0.imagined - apart.0.imagined).abs() < 1e-5);
         for (shared, apart) in shared.1.iter().zip(&apart.1) {
             assert!((shared - apart).abs() < 1e-5, "{shared} {apart}");
         }
@@ -247,17 +269,15 @@ fn shared_rows_change_nothing() {
 #[test]
 fn whole_episodes_teach_what_their_steps_teach() {
     for kind in MIXERS {
-        let shape = shape(kind, true);
-        let online = Network::initialise(shape, &mut stream(1, 1, 0));
-        let target = Network::initialise(shape, &mut stream(2, 1, 0));
-        let batches = [episodes(Scenes::sharing(), Partitions::None), steps_of_episodes()];
-        let [whole, apart] = batches.map(|batch| {
-            let mut pass = TemporalDifference::default();
-            let mut gradient = vec![0.0; shape.parameters()];
-            let losses = pass.descend(&online, &target, &batch, None, 3, &mut gradient);
-            let targets: Vec<f32> = pass.targets().iter().flatten().copied().collect();
+        let (networks, online) = networks(shape(kind, true), 1);
+        let target = self::networks(shape(kind, true), 2).1;
+        let lessons = [episodes(true, Partitions::None), steps_of_episodes()];
+        let [whole, apart] = lessons.map(|mut lesson| {
+            let mut gradient = vec![0.0; online.values.len()];
+            let both = [&*online.values, &target.values];
+            let losses = descend(&networks, both, &mut lesson, None, &mut gradient);
             gradient.extend([losses.real as f32, losses.targets as f32]);
-            gradient.extend(targets);
+            gradient.extend(lesson.targets());
             gradient
         });
         assert_eq!(whole.len(), apart.len());
@@ -270,15 +290,12 @@ fn whole_episodes_teach_what_their_steps_teach() {
 /// Rewards and what they prefer by the online network, as the target network has it (double Q-learning).
 #[test]
 fn targets_are_what_the_target_network_says_of_what_the_online_network_prefers() {
-    let shape = shape(MixerKind::Sum, true);
-    let online = Network::initialise(shape, &mut stream(1, 1, 0));
-    let target = Network::initialise(shape, &mut stream(2, 1, 0));
-    let whole = episodes(Scenes::sharing(), Partitions::None);
-    for batch in [batch(Partitions::None), whole] {
-        let after = if batch.next.is_empty() { &batch.after } else { &batch.before };
-        let [preferred, worth] = [&online, &target].map(|network| {
-            AgentPass::default().forward(shape.agent, network.agent(), after, 1).to_vec()
-        });
+    let (networks, online) = networks(shape(MixerKind::Sum, true), 1);
+    let target = self::networks(shape(MixerKind::Sum, true), 2).1;
+    for mut lesson in [records(Partitions::None), episodes(true, Partitions::None)] {
+        let after = if lesson.after.is_empty() { &lesson.before } else { &lesson.after };
+        let [preferred, worth] = [&online, &target]
+            .map(|weights| utilities_of(&networks, &weights.values, after, false));
         let choice = |utilities: &[f32], agent: usize| {
             let row = &utilities[agent * 4..][..4];
             let open = |action: &usize| after.available()[agent] >> action & 1 == 1;
@@ -292,45 +309,17 @@ fn targets_are_what_the_target_network_says_of_what_the_online_network_prefers()
             values.push(team.map(|a| worth[a * 4 + choice(&preferred, a)]).sum::<f32>());
         }
         assert!(differ > 0);
-        let mut pass = TemporalDifference::default();
-        let records = batch.rewards.len();
-        pass.descend(&online, &target, &batch, None, records, &mut vec![0.0; shape.parameters()]);
-        for (record, found) in pass.targets().iter().enumerate() {
-            let next = if batch.next.is_empty() { Some(record) } else { batch.next[record] };
-            let want =
-                next.map(|next| batch.rewards[record] + batch.discounts[record] * values[next]);
-            match (found, want) {
-                (Some(found), Some(want)) => assert!((found - want).abs() < 1e-5, "{found} {want}"),
-                (found, want) => assert_eq!(*found, want),
-            }
+        let both = [&*online.values, &target.values];
+        descend(&networks, both, &mut lesson, None, &mut vec![0.0; online.values.len()]);
+        let records = lesson.next.iter().enumerate();
+        let want = records.filter_map(|(record, next)| {
+            Some(lesson.rewards[record] + lesson.discounts[record] * values[(*next)? as usize])
+        });
+        let want: Vec<f32> = want.collect();
+        assert_eq!(lesson.targets().len(), want.len());
+        for (found, want) in lesson.targets().iter().zip(want) {
+            assert!((found - want).abs() < 1e-5, "{found} {want}");
         }
-    }
-}
-
-/// Agents that go through an episode at once remember what those do that go step by step.
-#[test]
-fn agents_remember_from_step_to_step_and_begin_with_nothing() {
-    let mut shape = shape(MixerKind::Sum, true);
-    shape.agent.memory = 6;
-    let network = Network::initialise(shape, &mut stream(5, 1, 0));
-    let whole = episodes(Scenes::sharing(), Partitions::None).before;
-    let mut pass = AgentPass::default();
-    let whole = pass.forward(shape.agent, network.agent(), &whole, 1).to_vec();
-    let (mut memory, mut apart) = (Vec::new(), Vec::new());
-    for (Moment { step, .. }, seen) in story() {
-        if step == 0 {
-            memory = vec![0.0; 3 * 6];
-        }
-        let mut scenes = Scenes::default();
-        scenes.push(&seen, |_| EntitySet::MAX);
-        scenes.finish();
-        let scenes = (&scenes, 1);
-        let memory = Some(&mut *memory);
-        apart.extend_from_slice(pass.forward_from(shape.agent, network.agent(), scenes, memory));
-    }
-    assert_eq!(whole.len(), apart.len());
-    for (whole, apart) in whole.iter().zip(&apart) {
-        assert!((whole - apart).abs() < 1e-5, "{whole} {apart}");
     }
 }
 
@@ -339,7 +328,7 @@ fn agents_remember_from_step_to_step_and_begin_with_nothing() {
 fn remembered(times: &[&[(usize, bool, usize)]]) -> BTreeMap<usize, Vec<f32>> {
     let mut shape = shape(MixerKind::Sum, true);
     shape.agent.memory = 6;
-    let network = Network::initialise(shape, &mut stream(5, 1, 0));
+    let (networks, weights) = networks(shape, 5);
     let states = states(10, |_| EntitySet::MAX);
     let mut acting = Acting::default();
     for teams in times {
@@ -347,7 +336,7 @@ fn remembered(times: &[&[(usize, bool, usize)]]) -> BTreeMap<usize, Vec<f32>> {
         for (instance, begins, state) in *teams {
             acting.push(*instance, *begins, &states[*state]);
         }
-        acting.choose(&network, &mut [0; 6]);
+        acting.choose(&networks.agents, &weights.values, &mut [0; 6]);
     }
     acting.memories
 }
@@ -374,98 +363,18 @@ fn who_acts_remembers_its_own_episode_and_nothing_of_the_one_before() {
     }
 }
 
-/// Utilities of the first block and of the imagined ones.
-fn utilities(partitions: Partitions, blocks: usize) -> Vec<f32> {
-    let shape = shape(MixerKind::Sum, true);
-    let network = Network::initialise(shape, &mut stream(3, 1, 0));
-    let batch = batch(partitions);
-    let mut pass = AgentPass::default();
-    pass.forward(shape.agent, network.agent(), &batch.before, blocks).to_vec()
-}
-
-#[test]
-fn imagined_utilities_are_those_of_agents_that_see_their_part_only() {
-    for partitions in PARTITIONS {
-        let shape = shape(MixerKind::Sum, true);
-        let network = Network::initialise(shape, &mut stream(3, 1, 0));
-        let all = utilities(partitions, 3);
-        let plain = utilities(Partitions::None, 1);
-        for (got, want) in all.iter().zip(&plain) {
-            assert!((got - want).abs() < 1e-5, "{partitions:?}: {got} against {want}");
-        }
-        // Each part as if nothing else were seen.
-        for (block, across) in [(1, false), (2, true)] {
-            let mut scenes = Scenes::default();
-            let part = |agent: usize| {
-                let within = partitions.within(PART, COMPANIONS[agent], agent);
-                if across { !within } else { within }
-            };
-            for seen in states(10, part) {
-                scenes.push(&seen, |_| EntitySet::MAX);
-            }
-            scenes.finish();
-            let mut pass = AgentPass::default();
-            let want = pass.forward(shape.agent, network.agent(), &scenes, 1);
-            for (got, want) in all[block * plain.len()..].iter().zip(want) {
-                assert!((got - want).abs() < 1e-5, "{partitions:?}: {got} against {want}");
-            }
-        }
-    }
-}
-
 #[test]
 fn without_imagination_lambda_is_none_and_a_lambda_of_nothing_changes_no_gradient() {
     for kind in MIXERS {
-        let shape = shape(kind, true);
-        let online = Network::initialise(shape, &mut stream(1, 1, 0));
-        let batch = batch(Partitions::Drawn);
+        let (networks, online) = networks(shape(kind, true), 1);
+        let mut lesson = records(Partitions::Drawn);
         let [plain, imagined] = [None, Some(0.0)].map(|lambda| {
-            let mut gradient = vec![0.0; shape.parameters()];
-            let mut pass = TemporalDifference::default();
-            pass.descend(&online, &online, &batch, lambda, 3, &mut gradient);
+            let mut gradient = vec![0.0; online.values.len()];
+            descend(&networks, [&online.values; 2], &mut lesson, lambda, &mut gradient);
             gradient
         });
         for (plain, imagined) in plain.iter().zip(&imagined) {
             assert!((plain - imagined).abs() < 1e-5, "{kind:?}: {plain} against {imagined}");
         }
     }
-}
-
-#[test]
-fn a_better_utility_never_makes_a_team_worse() {
-    for kind in MIXERS {
-        let shape = shape(kind, true).mixer;
-        let network = Network::initialise(super::tests::shape(kind, true), &mut stream(4, 1, 0));
-        let batch = batch(Partitions::Drawn);
-        let chosen = random(5, 3 * 8);
-        let mixer = &network.parameters[network.shape.agent.parameters()..];
-        let mut pass = MixerPass::default();
-        let teams = Teams { scenes: &batch.before, utilities: &chosen };
-        pass.forward(shape, mixer, teams, 3);
-        let slopes = Slopes { values: &[1.0; 3], imagined: &[1.0; 3] };
-        let mut d_chosen = vec![f32::NAN; 24];
-        let mut gradient = vec![0.0; shape.parameters()];
-        pass.backward(shape, mixer, teams, slopes, &mut d_chosen, &mut gradient);
-        assert!(d_chosen.iter().all(|slope| *slope > 0.0), "{kind:?} {d_chosen:?}");
-    }
-}
-
-#[test]
-fn a_partition_has_two_parts_that_do_not_meet() {
-    let mut generator = stream(6, 1, 0);
-    let mut sizes = [0; 6];
-    for _ in 0..6000 {
-        let part = Partitions::Drawn.draw(5, &mut generator);
-        sizes[part.count_ones() as usize] += 1;
-        for agent in 0..5 {
-            let within = Partitions::Drawn.within(part, 0, agent);
-            assert_eq!(within >> agent & 1, 1);
-            for other in 0..5 {
-                let seen = Partitions::Drawn.within(part, 0, other) >> agent & 1;
-                assert_eq!(within >> other & 1, seen);
-            }
-        }
-    }
-    // With p uniform every size is as likely.
-    assert!(sizes.iter().all(|count| (850..1150).contains(count)), "{sizes:?}");
 }

@@ -1,5 +1,6 @@
 //! Methods against recorded rounds of other code, and runs of them.
 
+mod aiming;
 mod alma_golden;
 mod files;
 mod hal;

@@ -3,15 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use sortie_learn::Method;
 use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress};
 use sortie_learn::session::{MethodEntry, Session, Setup};
-use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
-use sortie_methods::alma::export::check_exportable;
-use sortie_methods::alma::run::{Run, RunAllocator};
-use sortie_methods::alma::teams::{NoSubtasks, RuleAllocator};
+use sortie_learn::subtasks::AllocatorNetworks;
 use sortie_methods::alma::{ALMA, COPA, FLAT};
 
-use crate::sessions::{begin, environment_of, open_run, resume};
+use crate::sessions::{begin, open_windows, resume};
 
 /// A run of a few seconds, with some values replaced.
 fn small(method: &MethodEntry, assignments: &[&str]) -> Setup {
@@ -108,9 +106,10 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     assert_eq!(outcome, Outcome::Finished);
     assert!(tensors == whole_run(config(), 5, 1).0, "the resumed run has other weights");
 
-    let opened = open_run(folder.path()).unwrap();
-    assert!(matches!(opened.allocator, Some(RunAllocator::Proposals { .. })));
-    assert_eq!(opened.env_steps, trainer.env_steps());
+    let opened = open_windows(folder.path());
+    let allocator = opened.method.subtasks().and_then(|subtasks| subtasks.allocator).unwrap();
+    assert!(matches!(allocator.networks, AllocatorNetworks::Proposals(_)));
+    assert_eq!(opened.curve.last().map(|point| point.env_steps), Some(trainer.env_steps()));
 }
 
 /// The same with a coach.
@@ -135,19 +134,15 @@ fn a_coach_learns_the_same_with_any_number_of_threads_and_when_resumed() {
     assert_eq!(outcome, Outcome::Finished);
     assert!(tensors == one, "the resumed run has other weights");
 
-    let opened = open_run(folder.path()).unwrap();
+    let mut opened = open_windows(folder.path());
     assert_eq!(opened.description.config.method, "copa");
-    let environment = environment_of(&opened.description.config).unwrap();
-    let plan = EvaluationPlan::new(&*environment, 8, u64::MAX - 5);
-    let measure =
-        |run: &Run| evaluate(&plan, &mut run.team(), &mut NoSubtasks).unwrap().return_mean;
     // The run's own last evaluation, to the last digit, and another one without the coach.
     let last = trainer.curve().last().expect("an evaluation");
-    assert_eq!(measure(&opened), last.return_mean);
-    let alone = Run { coach: None, ..opened.clone() };
-    assert_ne!(measure(&alone), last.return_mean);
-    let refused = check_exportable(&opened).unwrap_err().to_string();
+    assert_eq!(opened.measured(8, u64::MAX - 5).return_mean, last.return_mean);
+    let refused = opened.refused();
     assert!(refused.contains("coach") && refused.contains("8 numbers"), "{refused}");
+    opened.method.low_level.coaching = None;
+    assert_ne!(opened.measured(8, u64::MAX - 5).return_mean, last.return_mean);
 }
 
 #[test]
@@ -193,19 +188,13 @@ fn agents_with_a_memory_are_saved_resumed_and_measured() {
     let (_, tensors, curve) = run(&mut trainer, u64::MAX);
     assert!(tensors == whole_run(config, 5, 1).0, "the resumed run has other weights");
 
-    let opened = open_run(folder.path()).unwrap();
-    assert_eq!(opened.memory_unit.len(), 3 * 8 * 8 * 2 + 3 * 8 * 2);
-    let measure = |opened: &Run| {
-        let environment = environment_of(&opened.description.config).unwrap();
-        let plan = EvaluationPlan::new(&*environment, 8, u64::MAX - 5);
-        evaluate(&plan, &mut opened.team(), &mut RuleAllocator("heuristic")).unwrap()
-    };
+    let mut opened = open_windows(folder.path());
     // The run's own last evaluation, to the last digit, and another one without the memory.
     let last = curve.last().expect("an evaluation");
-    assert_eq!(measure(&opened).return_mean, last.return_mean);
-    let forgetful = Run { memory_unit: vec![0.0; opened.memory_unit.len()], ..opened.clone() };
-    assert_ne!(measure(&forgetful).return_mean, last.return_mean);
-    assert!(check_exportable(&opened).unwrap_err().to_string().contains("memory"));
+    assert_eq!(opened.measured(8, u64::MAX - 5).return_mean, last.return_mean);
+    assert!(opened.refused().contains("memory"));
+    opened.method.low_level.online.gru.fill(0.0);
+    assert_ne!(opened.measured(8, u64::MAX - 5).return_mean, last.return_mean);
 }
 
 #[test]
@@ -215,13 +204,10 @@ fn an_allocator_learns_for_agents_of_another_run_that_stay_as_they_are() {
     let from = format!("run.from={}", first.path().display());
     let frozen = [&from, "low_level.frozen=true"];
     run(&mut begin(small(&ALMA, &frozen), 2, 1, second.path()).unwrap(), u64::MAX);
-    let (first, second) = (open_run(first.path()).unwrap(), open_run(second.path()).unwrap());
-    assert_eq!(first.network, second.network);
-    let policy = |run: &Run| match &run.allocator {
-        Some(RunAllocator::Proposals { policy, .. }) => policy.clone(),
-        other => panic!("not a policy: {other:?}"),
-    };
-    assert_ne!(policy(&first), policy(&second));
+    let [first, second] = [first, second].map(|folder| open_windows(folder.path()).method);
+    assert_eq!(first.low_level.online.agents, second.low_level.online.agents);
+    let [first, second] = [first, second].map(|method| method.allocation.unwrap());
+    assert_ne!(first.networks().policy, second.networks().policy);
 
     let other = tempfile::tempdir().unwrap();
     let wide = small(&ALMA, &[&frozen[..], &["low_level.width=32"]].concat());

@@ -4,13 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_envs::Split;
+use sortie_learn::Method;
+use sortie_learn::play::evaluate;
 use sortie_learn::run::{Observer, Outcome, Progress};
 use sortie_learn::session::{Session, Setup};
-use sortie_methods::alma::evaluate::{EvaluationPlan, evaluate};
-use sortie_methods::alma::teams::RuleAllocator;
+use sortie_learn::subtasks::RuleAllocator;
 use sortie_methods::alma::{ALMA, FLAT};
 
-use crate::sessions::{begin, open_run, resume};
+use crate::sessions::{begin, open_records, resume};
 
 /// A run of a few seconds whose replay overflows, with some values replaced.
 fn with(assignments: &[&str]) -> Setup {
@@ -116,9 +117,10 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     let whole = tempfile::tempdir().unwrap();
     let mut trainer = begin(usual(), 5, 1, whole.path()).unwrap();
     run(&mut trainer, u64::MAX);
-    let (resumed, whole) = (open_run(folder.path()).unwrap(), open_run(whole.path()).unwrap());
-    assert_eq!(resumed.network, whole.network);
-    assert!(resumed.allocator.is_some() && resumed.allocator == whole.allocator);
+    let [resumed, whole] = [folder, whole].map(|folder| open_records(folder.path()));
+    assert_eq!(resumed.method.agents.average, whole.method.agents.average);
+    let [ours, theirs] = [&resumed, &whole].map(|run| run.method.allocator.as_ref().unwrap());
+    assert_eq!(ours.average, theirs.average);
     assert_eq!(resumed.curve.len(), 4);
     for (resumed, whole) in resumed.curve.iter().zip(&whole.curve) {
         assert_eq!(resumed.success, whole.success);
@@ -152,7 +154,7 @@ fn every_way_to_learn_resumes_exactly() {
         assert_eq!(run(&mut trainer, u64::MAX).0, Outcome::Finished);
         assert!(state(whole.path()) == state(stopped.path()), "{assignments:?}");
 
-        let (resumed, whole) = (open_run(stopped.path()).unwrap(), open_run(whole.path()).unwrap());
+        let [resumed, whole] = [stopped, whole].map(|folder| open_records(folder.path()));
         assert!(whole.curve.last().unwrap().updates > 50, "{assignments:?}");
         for (resumed, whole) in resumed.curve.iter().zip(&whole.curve) {
             assert_eq!(resumed.loss, whole.loss, "{assignments:?} at {}", resumed.env_steps);
@@ -166,12 +168,12 @@ fn a_run_without_subtasks_learns_no_allocator_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let config = with(&["network.subtask=none", "run.steps=400"]);
     run(&mut begin(config, 5, 1, folder.path()).unwrap(), u64::MAX);
-    let opened = open_run(folder.path()).unwrap();
-    assert!(opened.allocator.is_none());
+    let opened = open_records(folder.path());
+    let subtasks = opened.method.subtasks().unwrap();
+    assert!(subtasks.allocator.is_none() && !subtasks.are_seen);
     assert_eq!(opened.description.config.method, "flat");
     assert!(opened.curve.iter().all(|point| point.allocation == "none"));
-    let error = sortie_methods::alma::export::check_exportable(&opened).unwrap_err().to_string();
-    assert!(error.contains("network.subtask"), "{error}");
+    assert!(opened.refused().contains("network.subtask"), "{}", opened.refused());
 }
 
 #[test]
@@ -179,12 +181,12 @@ fn a_network_that_marks_subtasks_refuses_a_city_with_more_of_them() {
     let folder = tempfile::tempdir().unwrap();
     let config = with(&["network.subtask=input", "run.steps=400"]);
     run(&mut begin(config, 5, 1, folder.path()).unwrap(), u64::MAX);
-    let opened = open_run(folder.path()).unwrap();
+    let opened = open_records(folder.path());
     let environment =
         sortie_envs::open("save-the-city/12a_12b", Split::Test, 1, &Default::default()).unwrap();
-    let plan = EvaluationPlan::new(&*environment, 1, 1);
-    let mut rule = RuleAllocator("coordinated");
-    let error = evaluate(&plan, &mut opened.team(), &mut rule).unwrap_err().to_string();
+    let subtasks = opened.method.subtasks().unwrap();
+    let mut team = subtasks.under(Box::new(RuleAllocator("coordinated")));
+    let error = evaluate(&*environment, &mut team, 1, 1).unwrap_err().to_string();
     assert!(error.contains("fewer subtasks"), "{error}");
 }
 
@@ -202,7 +204,9 @@ fn resuming_uses_the_checkpoint_before_a_damaged_one() {
     let trainer = resume(folder.path(), None).unwrap();
     assert_eq!(trainer.env_steps(), 1200);
     assert!(trainer.refused()[0].contains("state.postcard"), "{:?}", trainer.refused());
-    assert_eq!(open_run(folder.path()).unwrap().env_steps, 1200);
+    let refused =
+        sortie_learn::session::load_weights(folder.path(), &mut open_records(folder.path()).method);
+    assert!(refused.unwrap()[0].contains("state.postcard"));
 }
 
 #[test]
@@ -218,7 +222,7 @@ fn a_run_describes_and_draws_itself() {
     let folder = tempfile::tempdir().unwrap();
     let mut trainer = begin(usual(), 3, 1, folder.path()).unwrap();
     run(&mut trainer, u64::MAX);
-    let opened = open_run(folder.path()).unwrap();
+    let opened = open_records(folder.path());
     let mut setup = usual();
     setup.run.settle_products().unwrap();
     assert_ne!(setup.run.products, "widest");
@@ -237,8 +241,8 @@ fn a_run_under_a_rule_learns_no_allocator() {
     let folder = tempfile::tempdir().unwrap();
     let mut trainer = begin(with(&["allocation.learned=0"]), 3, 1, folder.path()).unwrap();
     run(&mut trainer, u64::MAX);
-    let opened = open_run(folder.path()).unwrap();
-    assert!(opened.allocator.is_none());
+    let opened = open_records(folder.path());
+    assert!(opened.method.subtasks().unwrap().allocator.is_none());
     assert_eq!(opened.curve[0].allocation, "heuristic");
     assert_eq!(opened.curve[0].allocator_updates, 0);
     drop(trainer);
@@ -250,7 +254,7 @@ fn a_run_can_begin_with_what_another_learned() {
     let first = tempfile::tempdir().unwrap();
     let mut trainer = begin(usual(), 3, 1, first.path()).unwrap();
     run(&mut trainer, 1200);
-    let learned = open_run(first.path()).unwrap();
+    let learned = open_records(first.path()).method;
 
     let from = format!("run.from={}", first.path().display());
     let config = with(&[&from, "environment.set=2-8a_2-8b"]);
@@ -259,10 +263,11 @@ fn a_run_can_begin_with_what_another_learned() {
     // Stopped before its first step.
     let stop = AtomicBool::new(true);
     assert_eq!(trainer.run(&mut (), &stop).unwrap(), Outcome::Stopped);
-    let begun = open_run(second.path()).unwrap();
-    assert_eq!((begun.env_steps, &begun.network), (0, &learned.network));
-    assert!(learned.allocator.is_some());
-    assert_eq!(begun.allocator, learned.allocator);
+    assert_eq!(trainer.env_steps(), 0);
+    let begun = open_records(second.path()).method;
+    assert_eq!(begun.agents.average.utility, learned.agents.average.utility);
+    let [begun, learned] = [begun, learned].map(|method| method.allocator.unwrap().average);
+    assert_eq!(begun, learned);
 
     let third = tempfile::tempdir().unwrap();
     let error = begin(with(&[&from, "network.width=32"]), 4, 1, third.path()).unwrap_err();

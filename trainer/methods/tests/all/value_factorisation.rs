@@ -174,6 +174,24 @@ fn states_of_different_lengths_are_learned_from() {
 }
 
 #[test]
+fn a_run_ends_after_its_processor_seconds_and_its_learning_rate_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (steps, time) = ("run.steps=1_000_000_000", "run.cpu_seconds=0.5");
+    let run = small("vdn", &[steps, time, "run.final_episodes=0", "run.evaluate_every=1_000_000"]);
+    let mut session = begin(&run, 1, 1, folder.path());
+    assert_eq!(session.run(&mut (), &AtomicBool::new(false)).unwrap(), Outcome::Finished);
+    let last = session.curve().last().unwrap();
+    assert!(last.env_steps > 0 && last.learning_rate < 1e-4, "{last:?}");
+    // Nothing is left to be done.
+    drop(session);
+    let again = Session::resume(folder.path(), |description| open(run.0, description, 1));
+    let mut again = again.unwrap();
+    let steps = again.env_steps();
+    again.run(&mut (), &AtomicBool::new(false)).unwrap();
+    assert_eq!(again.env_steps(), steps);
+}
+
+#[test]
 fn what_was_learned_is_opened_and_taken_over() {
     let folder = tempfile::tempdir().unwrap();
     let run =

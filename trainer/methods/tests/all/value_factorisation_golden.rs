@@ -1,11 +1,15 @@
 //! Value factorisation against the reference's modules, on recorded inputs (`tests/golden`).
 
 use sortie_envs::{EntitySet, Observation, members};
-use sortie_methods::value_factorisation::{
-    AgentPass, AgentShape, Batch, Hypernetworks, MixerKind, MixerShape, Moment, Network,
-    NetworkShape, Partitions, Scenes, TemporalDifference,
+use sortie_learn::learner::Shard;
+use sortie_learn::networks::{
+    AgentShape, EntityAgent, EntityBatch, Hypernetworks, LookShape, MixerKind, MixerShape, Moment,
+    Targets, WeightsSum,
 };
+use sortie_methods::value_factorisation::{Lesson, NetworkShape, Networks, Partitions};
 use sortie_nn::optimise::RmsProp;
+use sortie_nn::random::stream;
+use sortie_nn::tape::{Parameters, Tape};
 
 use crate::files::{Case, json_cases, safetensors_case};
 
@@ -51,8 +55,14 @@ fn imagined_masks_are_the_recorded_ones() {
 fn agents_look_as_the_recorded_ones_do() {
     for case in json_cases("agent_ff_none") {
         let (input, width) = (9, 16);
-        let shape =
-            AgentShape { input, active_inputs: 9, width, actions: width, skip: false, memory: 0 };
+        let looking = LookShape { input, active_inputs: 9, width, heads: HEADS };
+        let shape = AgentShape {
+            looking,
+            actions: width,
+            skip: false,
+            memory: 0,
+            targets: Targets::default(),
+        };
         let weights = |name: &str| case.get(&format!("w/_base.{name}")).f32s();
         let fc1 = weights("fc1.weight");
         let mut parameters: Vec<f32> =
@@ -65,7 +75,7 @@ fn agents_look_as_the_recorded_ones_do() {
         parameters.extend((0..width * width).map(unit));
         parameters.extend([0.0; 16]);
 
-        let mut scenes = Scenes::default();
+        let mut batch = EntityBatch::default();
         let entities = case.get("in/entities").f32s();
         let (observed, absent) = (rows(&case, "in/obs_mask", 6), rows(&case, "in/entity_mask", 6));
         let mut want: Vec<f64> = Vec::new();
@@ -77,14 +87,17 @@ fn agents_look_as_the_recorded_ones_do() {
             }
             seen.observable = (0..3).map(|agent| open(observed[6 * state + agent])).collect();
             seen.available = vec![1; 3];
-            scenes.push(&seen, |_| EntitySet::MAX);
+            batch.push(&seen);
             for agent in (0..3).filter(|agent| present >> agent & 1 == 1) {
                 want.extend(rows(&case, "out/attn_out", width)[3 * state + agent]);
             }
         }
-        scenes.finish();
-        let mut pass = AgentPass::default();
-        let got = pass.forward(shape, &parameters, &scenes, 1);
+        batch.finish(false);
+        let agents = EntityAgent::new(&mut Parameters::default(), shape, &mut stream(1, 1, 0));
+        let mut tape = Tape::default();
+        let mut pass = tape.begin(&parameters);
+        let got = agents.utilities(&mut pass, &batch, batch.seen(), &mut []);
+        let got = pass.values(got);
         assert_eq!(got.len(), want.len());
         for (got, want) in got.iter().zip(want) {
             let want = want.max(0.0);
@@ -102,21 +115,28 @@ const STATES: usize = 8;
 const WIDTH: usize = 16;
 const MIXING: usize = 8;
 
+const HEADS: usize = 4;
+
+const LOOKING_SHAPE: LookShape = LookShape {
+    input: FEATURES + ACTIONS,
+    active_inputs: FEATURES + ACTIONS,
+    width: WIDTH,
+    heads: HEADS,
+};
+
 const SHAPE: NetworkShape = NetworkShape {
     agent: AgentShape {
-        input: FEATURES + ACTIONS,
-        active_inputs: FEATURES + ACTIONS,
-        width: WIDTH,
+        looking: LOOKING_SHAPE,
         actions: ACTIONS,
         skip: false,
         memory: 8,
+        targets: Targets { first: 0, count: 0 },
     },
     mixer: MixerShape {
         kind: MixerKind::Qmix,
         hypernetworks: Hypernetworks::Separate,
-        input: FEATURES + ACTIONS,
-        active_inputs: FEATURES + ACTIONS,
-        width: WIDTH,
+        weights_sum: WeightsSum::One,
+        looking: LOOKING_SHAPE,
         mixing: MIXING,
     },
 };
@@ -222,7 +242,7 @@ fn dot(one: &[f64], other: &[f64]) -> f64 {
 
 /// The recorded weights as this crate has them. Means over a team divide by absent agents as well there, so that of teams of
 /// which this share is present what they are means of counts so much less: by the factors.
-fn network(case: &Case, prefix: &str, present: f32) -> (Network, Vec<f32>) {
+fn weights(case: &Case, prefix: &str, present: f32) -> [Vec<f32>; 2] {
     let agent = format!("{prefix}/agent");
     let mut numbers = tensors(case, &agent, &LOOKING);
     numbers.extend(tensors(case, &agent, &DECIDING));
@@ -235,8 +255,8 @@ fn network(case: &Case, prefix: &str, present: f32) -> (Network, Vec<f32>) {
         numbers.extend(weight.iter().chain(&bias));
         factors.resize(numbers.len(), if name == "hyper_w_1" { 1.0 } else { present });
     }
-    let parameters = numbers.iter().zip(&factors).map(|(number, factor)| *number as f32 * factor);
-    (Network { shape: SHAPE, parameters: parameters.collect() }, factors)
+    let weights = numbers.iter().zip(&factors).map(|(number, factor)| *number as f32 * factor);
+    [weights.collect(), factors]
 }
 
 /// The actions that a row of availability leaves open.
@@ -245,14 +265,14 @@ fn available(row: &[f64]) -> u64 {
 }
 
 /// Adds a recorded episode to others, as the one at a place of theirs.
-fn push_episode(case: &Case, (place, number): (usize, usize), batch: &mut Batch) {
+fn push_episode(case: &Case, (place, number): (usize, usize), lesson: &mut Lesson) {
     let column = |name: &str| &case.get(name).data[number * STATES..][..STATES];
     let (filled, terminated) = (column("in/filled"), column("in/terminated"));
     let states = filled.iter().filter(|filled| **filled != 0.0).count();
     let part = !open(rows(case, "in/partition_groupA", ENTITIES)[number]);
     let entities = case.get("in/entities").f32s();
     let actions = &case.get("in/actions").data;
-    let first = batch.next.len();
+    let first = lesson.next.len();
     for step in 0..states {
         let state = number * STATES + step;
         let present = open(rows(case, "in/entity_mask", ENTITIES)[state]);
@@ -275,13 +295,13 @@ fn push_episode(case: &Case, (place, number): (usize, usize), batch: &mut Batch)
             .map(|a| available(of_agent("in/avail_actions", AGENTS, ACTIONS, a)))
             .collect();
         let moment = Moment { step, episode: place };
-        batch.before.push_at(moment, &seen, |agent| Partitions::Drawn.within(part, 0, agent));
+        lesson.before.push_at(moment, &seen, |agent| Partitions::Drawn.within(part, 0, agent));
         let there = members(present).filter(|entity| *entity < AGENTS);
-        batch.actions.extend(there.map(|agent| actions[state * AGENTS + agent] as u16));
+        lesson.actions.extend(there.map(|agent| actions[state * AGENTS + agent] as u32));
         let goes_on = step + 1 < states && terminated[..step].iter().all(|over| *over == 0.0);
-        batch.next.push(goes_on.then_some(first + step + 1));
-        batch.rewards.push(column("in/reward")[step] as f32);
-        batch.discounts.push(if terminated[step] == 0.0 { 0.99 } else { 0.0 });
+        lesson.next.push(goes_on.then_some((first + step + 1) as u32));
+        lesson.rewards.push(column("in/reward")[step] as f32);
+        lesson.discounts.push(if terminated[step] == 0.0 { 0.99 } else { 0.0 });
     }
 }
 
@@ -300,22 +320,30 @@ fn an_update_of_refil_agrees() {
     let figure = |name: &str| case.get(&format!("out/stat/{name}")).data[0];
     // In the first two episodes one of three agents is absent.
     let groups = [(&[0, 1][..], 2.0 / 3.0), (&[2], 1.0)];
-    let batches = groups.map(|(numbers, share)| {
-        let mut batch = Batch { before: Scenes::sharing(), ..Batch::default() };
+    let mut lessons = groups.map(|(numbers, share)| {
+        let mut lesson = Lesson::default();
+        lesson.before.share_rows(true);
         let places = numbers.iter().copied().enumerate();
-        places.for_each(|place| push_episode(&case, place, &mut batch));
-        batch.before.finish();
-        (batch, share)
+        places.for_each(|place| push_episode(&case, place, &mut lesson));
+        lesson.before.finish(true);
+        (lesson, share)
     });
-    let records: usize = batches.iter().map(|(batch, _)| batch.next.iter().flatten().count()).sum();
+    let records = lessons.iter().map(|(lesson, _)| lesson.next.iter().flatten().count()).sum();
     assert_eq!(records, 7 + 7 + 5);
-    let mut gradient = vec![0.0; SHAPE.parameters()];
+    let (networks, parameters) = Networks::new(SHAPE, &mut stream(1, 1, 0));
+    let mut gradient = vec![0.0; parameters.values.len()];
     let [mut real, mut imagined, mut targets] = [0.0; 3];
-    for (batch, present) in &batches {
-        let (online, factors) = network(&case, "w", *present);
-        let (target, _) = network(&case, "target_w", *present);
-        let (mut pass, mut own) = (TemporalDifference::default(), vec![0.0; gradient.len()]);
-        let losses = pass.descend(&online, &target, batch, Some(0.5), records, &mut own);
+    for (lesson, present) in &mut lessons {
+        let [online, factors] = weights(&case, "w", *present);
+        let [target, _] = weights(&case, "target_w", *present);
+        let [mut tape, mut spare] = [Tape::default(), Tape::default()];
+        let (pass, mut own) = (tape.begin(&online), vec![0.0; gradient.len()]);
+        let (online, target) = (&online, &target);
+        let mut shard =
+            Shard { number: 0, pass, spare: &mut spare, online, target, space: &mut *lesson };
+        let loss = networks.loss(&mut shard, Some(0.5), records);
+        shard.pass.backward(loss.total, &mut own);
+        let losses = lesson.losses;
         let slopes = own.iter().zip(&factors).map(|(slope, factor)| f64::from(slope * factor));
         gradient.iter_mut().zip(slopes).for_each(|(sum, slope)| *sum += slope);
         real += losses.real / records as f64;
@@ -349,8 +377,8 @@ fn an_update_of_refil_agrees() {
         }
     }
 
-    let (online, _) = network(&case, "w", 1.0);
-    let mut parameters = online.agent().to_vec();
+    let [mut parameters, _] = weights(&case, "w", 1.0);
+    parameters.truncate(of_agents.len());
     let slopes: Vec<f32> = of_agents.iter().map(|slope| *slope as f32).collect();
     RmsProp::new(parameters.len()).step(&mut parameters, &slopes, 5e-4);
     let mut after = tensors(&case, "out/after/agent", &LOOKING);

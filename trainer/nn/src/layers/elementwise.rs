@@ -19,6 +19,12 @@ pub enum Activation {
     Tanh,
     /// `1 / (1 + exp(-x))`
     Sigmoid,
+    /// `x` where it is positive, else `exp(x) - 1`.
+    Elu,
+    /// `exp(x)`
+    Exp,
+    /// The nearest number between two bounds.
+    Clamp(f32, f32),
 }
 
 /// Writes the activation of every number.
@@ -28,6 +34,9 @@ pub fn activate(activation: Activation, x: &[f32], y: &mut [f32]) {
         Activation::LeakyRelu(slope) => map(x, y, move |x| if x > 0.0 { x } else { slope * x }),
         Activation::Tanh => map(x, y, math::tanh),
         Activation::Sigmoid => map(x, y, math::sigmoid),
+        Activation::Elu => map(x, y, |x| if x > 0.0 { x } else { math::exp(x) - 1.0 }),
+        Activation::Exp => map(x, y, math::exp),
+        Activation::Clamp(least, most) => map(x, y, move |x| x.clamp(least, most)),
     }
 }
 
@@ -46,7 +55,25 @@ pub fn activate_backward(
         }
         Activation::Tanh => join(y, d_y, store, d_x, |y, d| d * (1.0 - y * y)),
         Activation::Sigmoid => join(y, d_y, store, d_x, |y, d| d * (y * (1.0 - y))),
+        Activation::Elu => {
+            join(y, d_y, store, d_x, |y, d| if y > 0.0 { d } else { d * (y + 1.0) });
+        }
+        Activation::Exp => multiply(y, d_y, store, d_x),
+        Activation::Clamp(least, most) => {
+            let within = move |y: f32| y > least && y < most;
+            join(y, d_y, store, d_x, move |y, d| if within(y) { d } else { 0.0 });
+        }
     }
+}
+
+/// Writes the absolute value of every number.
+pub fn absolute(x: &[f32], y: &mut [f32]) {
+    map(x, y, f32::abs);
+}
+
+/// Takes the slopes by absolute values to slopes by the numbers `x`.
+pub fn absolute_backward(x: &[f32], d_y: &[f32], store: Store, d_x: &mut [f32]) {
+    join(x, d_y, store, d_x, |x, d| if x < 0.0 { -d } else { d });
 }
 
 /// Writes or adds `factor` times `x`.

@@ -37,6 +37,13 @@ impl TeamLists {
         self.pairs = 0;
     }
 
+    /// Becomes a copy of others, keeps the memory.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.ends.clone_from(&other.ends);
+        self.members.copy_from(&other.members);
+        self.pairs = other.pairs;
+    }
+
     /// Adds a row to those that the next team attends to.
     #[inline]
     pub fn push(&mut self, row: usize) {

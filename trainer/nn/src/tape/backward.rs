@@ -52,7 +52,10 @@ impl Tape {
                     self.descend_linear(x, layer, own.clone(), parameters, gradient);
                 }
             }
-            Operation::SparseLinear { rows, layer } => {
+            Operation::SparseLinear { rows, layer, rectified } => {
+                if rectified {
+                    relu::backward(&self.values[own.clone()], &mut self.slopes[own.clone()]);
+                }
                 let [weight, bias] = weight_and_bias(layer, gradient);
                 let rows = &self.sparse.things[rows as usize];
                 sparse_linear::backward(rows, &self.slopes[own], weight, bias);
@@ -69,8 +72,9 @@ impl Tape {
             Operation::Affine { x, layer } => {
                 self.descend_affine(x, layer, own, parameters, gradient)
             }
-            Operation::Attend { queries, keys_values, lists, weights, shape } => {
-                self.descend_attention([queries, keys_values], lists, weights as usize, shape, own);
+            Operation::Attend { queries, keys_values, lists, weights, shape, masses } => {
+                let attended = Attended { inputs: [queries, keys_values], lists, weights, masses };
+                self.descend_attention(attended, shape, own);
             }
             Operation::SquaredScores { queries, keys_values, lists, shape } => {
                 self.descend_scores([queries, keys_values], lists, shape, own);
@@ -185,11 +189,36 @@ impl Tape {
                 self.keep(x, d_x);
                 self.scratch = scratch;
             }
+            Operation::SoftmaxGroups { x, indices, groups } => {
+                self.descend_softmax_groups(x, indices, groups as usize, own);
+            }
+            Operation::Blend { share, a, b } => self.descend_blend([share, a, b], own),
+            Operation::Parameter { start } => {
+                let place = start as usize..start as usize + own.len();
+                elementwise::scale(1.0, &self.slopes[own], Store::Add, &mut gradient[place]);
+            }
+            Operation::Product { a, b, transposed } => self.descend_product(a, b, transposed, own),
+            Operation::Absolute { x } => {
+                let range = self.of(x).range();
+                self.from(x, own, |store, values, _, d_y, d_x| {
+                    elementwise::absolute_backward(&values[range], d_y, store, d_x);
+                });
+            }
+            Operation::Absorb { queries, entities, keys_values, lists, pass, heads } => {
+                let (lists, pass, heads) = (lists as usize, pass as usize, heads as usize);
+                let weight = keys_values.weight_range();
+                let matrix = (&parameters[weight.clone()], &mut gradient[weight]);
+                self.descend_absorbed([queries, entities], matrix, [lists, pass, heads], own);
+            }
+            Operation::AttendInTeams { queries, keys, rows, lists, weights, heads, sums } => {
+                let places = [lists as usize, weights as usize, heads as usize];
+                self.descend_teams([queries, keys, rows], places, sums, own);
+            }
         }
     }
 
     /// Has `write` store the slopes by `x`, from all values before the step, its results and its slopes.
-    fn from(
+    pub(super) fn from(
         &mut self,
         x: Var,
         own: Range<usize>,
@@ -244,7 +273,7 @@ impl Tape {
     }
 
     /// Stores slopes by `x` that were computed elsewhere.
-    fn keep(&mut self, x: Var, slopes: &[f32]) {
+    pub(super) fn keep(&mut self, x: Var, slopes: &[f32]) {
         if let Some((range, store)) = self.slopes_of(x) {
             elementwise::scale(1.0, slopes, store, &mut self.slopes[range]);
         }
@@ -362,14 +391,10 @@ impl Tape {
     }
 
     /// Through queries, keys and values.
-    fn descend_attention(
-        &mut self,
-        [queries, keys_values]: [Var; 2],
-        lists: u32,
-        weights: usize,
-        shape: AttentionShape,
-        own: Range<usize>,
-    ) {
+    fn descend_attention(&mut self, attended: Attended, shape: AttentionShape, own: Range<usize>) {
+        let Attended { inputs: [queries, keys_values], lists, weights, masses } = attended;
+        // They stand before the output, so that all that depends on them has been gone through.
+        let masses = masses.map(|masses| self.of(masses)).filter(|masses| masses.has_slopes);
         let visible = &self.lists.things[lists as usize];
         let ranges = [queries, keys_values].map(|var| self.of(var).range());
         let [q, kv] = ranges.clone().map(|range| &self.values[range]);
@@ -382,13 +407,14 @@ impl Tape {
         let pass = attention::Backward {
             queries: q,
             keys_values: kv,
-            weights: &self.values[weights..][..visible.pairs() * shape.heads],
+            weights: &self.values[weights as usize..][..visible.pairs() * shape.heads],
             d_output: &self.slopes[own],
             d_scores,
             d_queries: &mut *d_queries,
             d_keys_values: &mut *d_keys_values,
         };
-        attention::backward(shape, visible, pass);
+        let d_masses = masses.map_or(&[][..], |masses| &self.slopes[masses.range()]);
+        attention::backward_with_masses(shape, visible, pass, d_masses);
         self.keep(keys_values, d_keys_values);
         self.keep(queries, d_queries);
         self.scratch = scratch;
@@ -422,6 +448,15 @@ impl Tape {
     }
 }
 
+/// What an attention was made of.
+struct Attended {
+    /// Queries, and keys with values.
+    inputs: [Var; 2],
+    lists: u32,
+    weights: u32,
+    masses: Option<Var>,
+}
+
 /// The gradients of weight and bias of a layer that has both.
 fn weight_and_bias(layer: Linear, gradient: &mut [f32]) -> [&mut [f32]; 2] {
     let bias = layer.bias_range().expect("sparse layers have offsets");
@@ -429,7 +464,7 @@ fn weight_and_bias(layer: Linear, gradient: &mut [f32]) -> [&mut [f32]; 2] {
 }
 
 /// The first so many numbers of a buffer that only grows.
-fn sized(buffer: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
+pub(super) fn sized(buffer: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
     if buffer.len() < numbers {
         buffer.resize(numbers, 0.0);
     }

@@ -5,7 +5,8 @@ use crate::layers::attention::AttentionShape;
 use crate::layers::gru::GruShape;
 use crate::layers::unfold::UnfoldShape;
 use crate::layers::{
-    SparseRows, VisibleLists, attention, attention_scores, linear, normalise, sparse_linear, unfold,
+    SparseRows, VisibleLists, attention, attention_scores, linear, normalise, relu, sparse_linear,
+    unfold,
 };
 
 impl Pass<'_> {
@@ -58,7 +59,7 @@ impl Pass<'_> {
             (None, false) => linear::forward_without_bias(layer.shape, x, weight, out),
             (None, true) => {
                 linear::forward_without_bias(layer.shape, x, weight, out);
-                crate::layers::relu::forward(out);
+                relu::forward(out);
             }
         }
         y
@@ -66,14 +67,27 @@ impl Pass<'_> {
 
     /// A first layer over features that are mostly zeros; its weight is `[input, output]`.
     pub fn sparse_linear(&mut self, features: &SparseRows, layer: Linear) -> Var {
+        self.sparse(features, layer, false)
+    }
+
+    /// The same, rectified.
+    pub fn sparse_linear_rectified(&mut self, features: &SparseRows, layer: Linear) -> Var {
+        self.sparse(features, layer, true)
+    }
+
+    fn sparse(&mut self, features: &SparseRows, layer: Linear, rectified: bool) -> Var {
         let (rows, kept) = self.tape.sparse.next();
         kept.clear();
         kept.append(features);
-        let operation = Operation::SparseLinear { rows, layer };
+        let operation = Operation::SparseLinear { rows, layer, rectified };
         let y = self.tape.push(operation, features.len(), layer.shape.output, true);
         let weight = &self.parameters[layer.weight_range()];
         let bias = layer.bias_range().expect("sparse layers have offsets");
-        sparse_linear::forward(features, weight, &self.parameters[bias], self.tape.split(y).1);
+        let out = self.tape.split(y).1;
+        sparse_linear::forward(features, weight, &self.parameters[bias], out);
+        if rectified {
+            relu::forward(out);
+        }
         y
     }
 
@@ -121,25 +135,56 @@ impl Pass<'_> {
         visible: &VisibleLists,
         heads: usize,
     ) -> Var {
+        self.attend([queries, keys_values], visible, heads, None)
+    }
+
+    /// The same, with the [masses](attention) of what each query sees, `[queries, heads]`: what lists are weighed by that
+    /// are attended to apart. They count where the output does.
+    pub fn attention_with_masses(
+        &mut self,
+        queries: Var,
+        keys_values: Var,
+        visible: &VisibleLists,
+        heads: usize,
+    ) -> [Var; 2] {
+        let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
+        let masses = self.tape.push(Operation::Given, visible.queries(), heads, needs);
+        [self.attend([queries, keys_values], visible, heads, Some(masses)), masses]
+    }
+
+    fn attend(
+        &mut self,
+        [queries, keys_values]: [Var; 2],
+        visible: &VisibleLists,
+        heads: usize,
+        masses: Option<Var>,
+    ) -> Var {
         let [count, width] = self.size(queries);
         assert_eq!((count, 2 * width), (visible.queries(), self.size(keys_values)[1]), "sizes");
         let shape = AttentionShape { width, heads };
         let (lists, kept) = self.tape.lists.next();
         kept.copy_from(visible);
         let pairs = visible.pairs() * heads;
-        let weights = self.tape.reserve(pairs);
-        let operation =
-            Operation::Attend { queries, keys_values, lists, weights: weights as u32, shape };
+        let start = self.tape.reserve(pairs);
+        let weights = start as u32;
+        let operation = Operation::Attend { queries, keys_values, lists, weights, shape, masses };
         let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
         let y = self.tape.push(operation, count, width, needs);
-        let ranges = [queries, keys_values].map(|var| self.tape.of(var).range());
-        // The weights stand between the inputs and the result.
+        let inputs = [queries, keys_values].map(|var| self.tape.of(var).range());
+        let masses = masses.map_or(start..start, |masses| self.tape.of(masses).range());
+        // Inputs, then masses, weights and the result stand behind each other.
         let range = self.tape.of(y).range();
-        let (before, rest) = self.tape.values.split_at_mut(weights);
-        let (weights, rest) = rest.split_at_mut(range.start - weights);
-        let [queries, keys_values] = ranges.map(|range| &before[range]);
+        let (before, rest) = self.tape.values.split_at_mut(masses.start);
+        let (masses, rest) = rest.split_at_mut(masses.len());
+        let (weights, rest) = rest.split_at_mut(range.start - start);
+        let inputs = inputs.map(|range| &before[range]);
         let out = &mut rest[..count * width];
-        attention::forward(shape, visible, queries, keys_values, &mut weights[..pairs], out);
+        if masses.is_empty() {
+            attention::forward(shape, visible, inputs[0], inputs[1], weights, out);
+        } else {
+            let written = (weights, masses);
+            attention::forward_with_masses(shape, visible, inputs.into(), written, out);
+        }
         y
     }
 

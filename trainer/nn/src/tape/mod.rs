@@ -29,22 +29,26 @@
 
 mod backward;
 pub mod chunks;
+mod groups;
 mod layers;
+mod matrices;
 mod parameters;
 mod steps;
 
 use std::fmt;
 use std::ops::Range;
 
+use crate::layers::absorbed_attention::AbsorbedAttention;
 use crate::layers::attention::AttentionShape;
 use crate::layers::elementwise::Activation;
 use crate::layers::gru::GruPass;
 use crate::layers::matrix::Store;
+use crate::layers::team_attention::Sums;
 use crate::layers::unfold::UnfoldShape;
-use crate::layers::{SparseRows, VisibleLists};
+use crate::layers::{SparseRows, TeamLists, VisibleLists};
 
 pub use chunks::Chunks;
-pub use parameters::{Gru, Linear, Norm, Parameters, Tensor};
+pub use parameters::{Gru, Linear, Norm, Parameters, Places, Tensor};
 
 /// A matrix that a pass has computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,8 +82,10 @@ pub struct Tape {
     used: usize,
     indices: Vec<u32>,
     lists: Pool<VisibleLists>,
+    teams: Pool<TeamLists>,
     sparse: Pool<SparseRows>,
     grus: Pool<GruPass>,
+    absorbed: Pool<AbsorbedAttention>,
     carry: Vec<bool>,
     scratch: Vec<f32>,
     customs: Vec<Box<dyn Custom>>,
@@ -143,7 +149,8 @@ impl Tape {
         self.indices.clear();
         self.carry.clear();
         self.used = 0;
-        (self.lists.used, self.sparse.used, self.grus.used) = (0, 0, 0);
+        (self.lists.used, self.teams.used, self.sparse.used) = (0, 0, 0);
+        (self.grus.used, self.absorbed.used) = (0, 0);
         Pass { tape: self, parameters }
     }
 
@@ -288,6 +295,7 @@ enum Operation {
     SparseLinear {
         rows: u32,
         layer: Linear,
+        rectified: bool,
     },
     Activate {
         x: Var,
@@ -314,6 +322,7 @@ enum Operation {
         lists: u32,
         weights: u32,
         shape: AttentionShape,
+        masses: Option<Var>,
     },
     SquaredScores {
         queries: Var,
@@ -396,6 +405,50 @@ enum Operation {
     Custom {
         x: Var,
         number: u32,
+    },
+    /// Row i belongs to group `indices[i]`.
+    SoftmaxGroups {
+        x: Var,
+        indices: Indices,
+        groups: u32,
+    },
+    /// `share a + (1 - share) b`
+    Blend {
+        share: Var,
+        a: Var,
+        b: Var,
+    },
+    /// A matrix of parameters; where it begins.
+    Parameter {
+        start: u32,
+    },
+    /// `a b`, or `a b'`.
+    Product {
+        a: Var,
+        b: Var,
+        transposed: bool,
+    },
+    Absolute {
+        x: Var,
+    },
+    /// As `Attend`, with the matrix of keys and values in the place of their rows.
+    Absorb {
+        queries: Var,
+        entities: Var,
+        keys_values: Linear,
+        lists: u32,
+        pass: u32,
+        heads: u32,
+    },
+    /// `weights` is where the attention weights begin in the arena.
+    AttendInTeams {
+        queries: Var,
+        keys: Var,
+        rows: Var,
+        lists: u32,
+        weights: u32,
+        heads: u32,
+        sums: Sums,
     },
 }
 

@@ -46,6 +46,13 @@ pub struct Gru {
     pub start: usize,
 }
 
+/// Hands out the places of layers, one behind the other in a vector of parameters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Places {
+    /// Where the next layer begins.
+    pub end: usize,
+}
+
 /// Where factors and offsets of columns begin, one behind the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Norm {
@@ -173,12 +180,39 @@ impl Parameters {
     }
 }
 
+impl Places {
+    /// The place of so many numbers.
+    pub fn numbers(&mut self, count: usize) -> usize {
+        self.end += count;
+        self.end - count
+    }
+
+    /// A linear layer, its offsets behind its weight.
+    pub fn linear(&mut self, input: usize, output: usize) -> Linear {
+        let Linear { shape, weight, .. } = self.projection(input, output);
+        Linear { shape, weight, bias: Some(self.numbers(output)) }
+    }
+
+    /// A linear layer without offsets.
+    pub fn projection(&mut self, input: usize, output: usize) -> Linear {
+        let weight = self.numbers(input * output);
+        Linear { shape: LinearShape { input, output }, weight, bias: None }
+    }
+
+    /// A recurrent unit.
+    pub fn gru(&mut self, width: usize) -> Gru {
+        Gru { width, start: self.numbers(gru::lengths(width).iter().sum()) }
+    }
+}
+
 impl Linear {
-    pub(super) fn weight_range(self) -> Range<usize> {
+    /// Where its weights stand.
+    pub fn weight_range(self) -> Range<usize> {
         self.weight..self.weight + self.shape.input * self.shape.output
     }
 
-    pub(super) fn bias_range(self) -> Option<Range<usize>> {
+    /// Where its offsets stand, if it has any.
+    pub fn bias_range(self) -> Option<Range<usize>> {
         self.bias.map(|bias| bias..bias + self.shape.output)
     }
 }

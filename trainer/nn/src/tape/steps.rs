@@ -126,7 +126,7 @@ impl Pass<'_> {
         self.activate(x, Activation::Sigmoid)
     }
 
-    fn activate(&mut self, x: Var, activation: Activation) -> Var {
+    pub(super) fn activate(&mut self, x: Var, activation: Activation) -> Var {
         let size = self.size(x);
         self.step(Operation::Activate { x, activation }, x, size, |x, y| {
             elementwise::activate(activation, x, y);

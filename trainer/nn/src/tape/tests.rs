@@ -66,6 +66,19 @@ fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
     check("leaky relu", |t, x| t.leaky_relu(x, 0.1));
     check("tanh", |t, x| t.tanh(x));
     check("sigmoid", |t, x| t.sigmoid(x));
+    check("exp", |t, x| t.exp(x));
+    check("elu", |t, x| t.elu(x));
+    check("softmax by groups", |t, x| t.softmax_by(x, &[2, 0, 2, 2, 1, 0], 3));
+    check("softmax of softmax by groups", |t, x| {
+        let once = t.softmax_by(x, &[0, 0, 1, 1, 1, 1], 2);
+        let other = t.softmax_by(x, &[1, 0, 1, 0, 1, 0], 2);
+        t.multiply(once, other)
+    });
+    check("means by groups", |t, x| t.mean_by(x, &[2, 0, 2, 2, 3, 0], 4));
+    check("blend", |t, x| {
+        let (share, other) = (t.columns(x, 1..3), t.tanh(x));
+        t.blend(share, x, other)
+    });
     check("softmax", |t, x| t.softmax(x));
     check("log-softmax", |t, x| t.log_softmax(x));
     check("gather", |t, x| t.gather(x, &[3, 0, 3, 5]));
@@ -85,6 +98,21 @@ fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
     check("sums of columns", |t, x| t.sum_columns(x));
     check("means of columns", |t, x| t.mean_columns(x));
     check("scale", |t, x| t.scale(x, -1.5));
+    check("offset", |t, x| t.offset(x, 0.7));
+    check("absolute value", |t, x| t.abs(x));
+    check("elu", |t, x| t.elu(x));
+    check("exp", |t, x| t.exp(x));
+    check("clamp", |t, x| t.clamp(x, -0.4, 0.3));
+    check("weighted sum", |t, x| t.weighted_sum(x, &random(6, 24)));
+    check("product", |t, x| {
+        let (first, second) = (t.rows(x, 0..4), t.columns(x, 1..3));
+        let second = t.rows(second, 1..5);
+        t.product(first, second)
+    });
+    check("transposed product", |t, x| {
+        let (first, squares) = (t.rows(x, 0..2), t.multiply(x, x));
+        t.product_transposed(first, squares)
+    });
     check("custom", |t, x| t.custom(0, x, [6, 4]));
     check("concat", |t, x| {
         let (first, squares) = (t.columns(x, 0..1), t.multiply(x, x));
@@ -145,6 +173,7 @@ fn gradients_of_layers_agree_with_finite_differences() {
     let mut rows = SparseRows::default();
     [[1.0, 0.0, 0.0, 2.0], [0.0, 0.5, 0.0, 0.0]].iter().for_each(|row| rows.push_dense(row));
     check("sparse", &p, (1, 1), |t, _| t.sparse_linear(&rows, layer));
+    check("rectified sparse", &p, (1, 1), |t, _| t.sparse_linear_rectified(&rows, layer));
 
     let mut p = Parameters::default();
     let layer = p.gru("gru", 4, drawn);
@@ -180,6 +209,127 @@ fn attention_goes_over_shared_keys_and_values() {
         let others = t.attention(queries, keys_values, &others, 2);
         t.concat(&[own, others])
     });
+}
+
+/// Lists of four queries among four rows, in two parts, either or both of which may be empty.
+fn parts() -> [VisibleLists; 3] {
+    let seen: [[&[usize]; 2]; 4] = [[&[0, 1], &[2, 3]], [&[2], &[]], [&[], &[3, 1]], [&[], &[]]];
+    let mut lists: [VisibleLists; 3] = Default::default();
+    for [within, across] in seen {
+        for (list, rows) in lists.iter_mut().zip([within, across, &[within, across].concat()]) {
+            rows.iter().for_each(|row| list.push(*row));
+            list.end_list();
+        }
+    }
+    lists
+}
+
+#[test]
+fn what_is_seen_in_parts_is_what_is_seen_at_once() {
+    let [within, across, all] = parts();
+    let (queries, keys_values) = (random(1, 4 * 8), random(2, 4 * 16));
+    let mut tape = Tape::default();
+    let mut t = tape.begin(&[]);
+    let queries = t.input(8, &queries);
+    let keys_values = t.input(16, &keys_values);
+    let lists = [&all, &within, &across];
+    let want = lists.map(|list| t.attention(queries, keys_values, list, 2));
+    let found = t.attention_in_parts(queries, keys_values, [&within, &across], 2);
+    for (want, found) in want.into_iter().zip(found) {
+        let numbers = t.values(want).iter().zip(t.values(found));
+        numbers.for_each(|(want, found)| assert!((want - found).abs() < 1e-6, "{want} {found}"));
+    }
+    assert_eq!(t.values(found[0])[3 * 8..], [0.0; 8]);
+}
+
+#[test]
+fn gradients_of_attention_in_parts_agree_with_finite_differences() {
+    let [within, across, _] = parts();
+    let drawn = &mut stream(3, 1, 0);
+    let mut p = Parameters::default();
+    let (queries, keys_values) =
+        (p.projection("queries", 8, 8, drawn), p.projection("keys_values", 8, 16, drawn));
+    for part in 0..4 {
+        check("attention in parts", &p, (4, 8), |t, x| {
+            let (queries, keys_values) = (t.linear(x, queries), t.linear(x, keys_values));
+            let all = t.attention_in_parts(queries, keys_values, [&within, &across], 2);
+            all.get(part).copied().unwrap_or_else(|| t.concat(&all))
+        });
+    }
+}
+
+/// A linear layer whose weight is a product of two, and what queries and rows give in teams.
+#[test]
+fn products_of_parameters_and_steps_of_teams_have_their_gradients() {
+    let drawn = &mut stream(3, 1, 0);
+    let mut p = Parameters::default();
+    let (first, last) = (p.projection("first", 4, 8, drawn), p.projection("last", 8, 3, drawn));
+    let bias = p.tensor("bias", &[1, 3], 1.0, drawn);
+    check("product of parameters", &p, (6, 4), |t, x| {
+        let (first, last) = (t.parameter(first.weight, [8, 4]), t.parameter(last.weight, [3, 8]));
+        let both = t.product(last, first);
+        let (y, ones, bias) = (
+            t.product_transposed(x, both),
+            t.input(1, &[1.0, 2.0, 1.0, 0.5, 1.0, 0.0]),
+            t.parameter(bias, [1, 3]),
+        );
+        let offsets = t.product(ones, bias);
+        t.add(y, offsets)
+    });
+
+    let mut p = Parameters::default();
+    let (queries, keys) = (p.projection("queries", 8, 8, drawn), p.projection("keys", 8, 8, drawn));
+    let mut teams = TeamLists::default();
+    for (size, seen) in [(2, &[0, 1, 3][..]), (0, &[0]), (1, &[2, 3]), (1, &[])] {
+        seen.iter().for_each(|row| teams.push(*row));
+        teams.end_team(size);
+    }
+    for sums in [Sums::PerQuery, Sums::PerTeam] {
+        check("teams", &p, (5, 8), |t, x| {
+            let acting = t.rows(x, 0..4);
+            let (queries, keys) = (t.linear(acting, queries), t.linear(x, keys));
+            t.team_attention([queries, keys, x], &teams, sums, 2)
+        });
+    }
+
+    let mut p = Parameters::default();
+    let matrices = p.projection("keys_values", 8, 16, drawn);
+    let mut seen = VisibleLists::default();
+    for list in [&[0, 1, 3][..], &[], &[4, 2]] {
+        list.iter().for_each(|row| seen.push(*row));
+        seen.end_list();
+    }
+    check("absorbed", &p, (5, 8), |t, x| {
+        let queries = t.rows(x, 0..3);
+        t.absorbed_attention(queries, x, matrices, &seen, 2)
+    });
+    let mut tape = Tape::default();
+    let mut pass = tape.begin(&p.values);
+    let x = pass.input(8, &random(5, 40));
+    let (queries, rows) = (pass.rows(x, 0..3), pass.linear(x, matrices));
+    let [absorbed, plain] = [
+        pass.absorbed_attention(queries, x, matrices, &seen, 2),
+        pass.attention(queries, rows, &seen, 2),
+    ];
+    for (absorbed, plain) in pass.values(absorbed).iter().zip(pass.values(plain)) {
+        assert!((absorbed - plain).abs() < 1e-5, "{absorbed} against {plain}");
+    }
+    // Keys and values of five rows, a score and a sum for each of five pairs; then what three queries absorb, and the
+    // scores and sums of two heads.
+    let (plain, absorbed) = (5 * 128 + 2 * 5 * 8, 2 * 3 * 64 + 2 * 5 * 2 * 8);
+    assert_eq!(pass.operations(false), 2 * (plain + absorbed));
+    assert_eq!(pass.operations(true), 3 * pass.operations(false));
+}
+
+#[test]
+fn places_are_those_that_parameters_get() {
+    let drawn = &mut stream(3, 1, 0);
+    let (mut p, mut places) = (Parameters::default(), Places::default());
+    assert_eq!(p.linear("linear", 4, 5, drawn), places.linear(4, 5));
+    assert_eq!(p.projection("projection", 3, 2, drawn), places.projection(3, 2));
+    assert_eq!(p.gru("gru", 4, drawn), places.gru(4));
+    assert_eq!(p.tensor("tensor", &[2, 3], 1.0, drawn), places.numbers(6));
+    assert_eq!(places.end, p.values.len());
 }
 
 #[test]

@@ -13,6 +13,7 @@ mod whole;
 use std::ops::Range;
 
 use sortie_bundle::Recording;
+use sortie_core::internal::kernels::product::padded;
 use sortie_core::internal::math::exp;
 use sortie_core::{NO_ACTION, Observation};
 use sortie_plans::CompileError;
@@ -106,6 +107,9 @@ pub(crate) fn equalise(products: &mut Products) {
         products.keys().for_each(|keys| products.layers[keys].scale_output(unit, 1.0 / scale));
         for (index, input) in takers {
             products.layers[index].scale_input(input, 1.0 / scale);
+        }
+        if let (Some(first), Some(last)) = (products.pointing, products.layers.last_mut()) {
+            last.scale_output(first + unit, 1.0 / scale);
         }
     }
     for (head, (keys, values)) in products.keys().zip(products.values()).enumerate() {
@@ -239,6 +243,8 @@ pub(crate) const QUERY: usize = 1;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Products {
     pub(crate) heads: usize,
+    /// Of the last product's outputs the first of the vector that points at rows, where there is one.
+    pointing: Option<usize>,
     /// Features d; the last action's one-hot follows them, if the embedding has more inputs.
     features: usize,
     pub(crate) layers: Vec<Layer>,
@@ -273,7 +279,8 @@ impl Products {
                 }
             }
         }
-        Ok(Self { heads, features, layers })
+        let pointing = network.targets.map(|targets| padded(targets.untargeted.into()));
+        Ok(Self { heads, pointing, features, layers })
     }
 
     /// Absorbed keys, head by head.

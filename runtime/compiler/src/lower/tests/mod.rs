@@ -4,6 +4,7 @@ mod agent;
 mod entities;
 mod int8;
 pub(in crate::lower) mod networks;
+mod pointing;
 mod proposals;
 mod recurrent;
 mod rounding;

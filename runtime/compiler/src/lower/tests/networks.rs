@@ -4,6 +4,7 @@ use rand_core::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sortie_bundle::{OwnedObservation, Recording};
 use sortie_core::NO_ACTION;
+use sortie_core::internal::ops::Targets;
 use sortie_core::plan::{
     AlignedBytes, Checksums, HEADER_BYTES, Header, Network, Plan, Profile, Program, ProgramDraft,
     Proof, checksums,
@@ -78,6 +79,7 @@ impl Random {
             value: self.matrix(width, width),
             output: self.layer(width, width, relu),
             skip: None,
+            targets: None,
             steps: vec![
                 Step::Dense(self.layer(width, base, true)),
                 Step::Dense(self.layer(base, shape.actions, false)),
@@ -89,6 +91,24 @@ impl Random {
     pub(crate) fn with_skip(&mut self, layers: AgentLayers) -> AgentLayers {
         let width = layers.embed.matrix.outputs;
         AgentLayers { skip: Some(self.matrix(width, width)), ..layers }
+    }
+
+    /// The same with a head that points: of several actions some, the last ones, aim at entities.
+    pub(crate) fn pointing(&mut self, mut layers: AgentLayers, shape: Shape) -> AgentLayers {
+        let count = 1 + self.below(shape.actions - 1);
+        let untargeted = shape.actions - count;
+        let head = layers.steps.pop();
+        let Some(Step::Dense(Layer { matrix: Matrix { inputs, .. }, .. })) = head else {
+            panic!("a network ends in a layer");
+        };
+        layers.steps.push(Step::Dense(self.layer(inputs, untargeted + shape.width, false)));
+        layers.targets = Some(Targets {
+            untargeted: untargeted as u16,
+            first_entity: self.below(shape.n_max + 2) as u16,
+            count: count as u16,
+            width: shape.width as u16,
+        });
+        layers
     }
 
     /// As [`Self::layers`], with a recurrent unit of `size` floats in front of the head.
@@ -186,13 +206,20 @@ pub(crate) fn reference(
             sums.map(|sum| if layers.output.relu { sum.max(0.0) } else { sum }).collect()
         }
     };
-    layers.steps.iter().fold(output, |input, step| match step {
+    let answer = layers.steps.iter().fold(output, |input, step| match step {
         Step::Dense(layer) => apply(layer, &input),
         Step::Gru(unit) => {
             *state = next_state(unit, &input, state);
             state.clone()
         }
-    })
+    });
+    let Some(targets) = layers.targets else { return answer };
+    let (untargeted, query) = answer.split_at(targets.untargeted.into());
+    let aimed = (usize::from(targets.first_entity)..).take(targets.count.into()).map(|entity| {
+        let place = observation.visible.iter().position(|visible| visible == entity);
+        place.map_or(0.0, |place| query.iter().zip(&visible[place]).map(|(q, x)| q * x).sum())
+    });
+    untargeted.iter().copied().chain(aimed).collect()
 }
 
 /// What the heads of one query, already scaled, bring together.

@@ -10,9 +10,10 @@ use sortie_envs::save_the_city::golden::Playback;
 use sortie_envs::save_the_city::{ACTION_NAMES, ENTRY, SIDE};
 use sortie_envs::{DecisionPoints, Split};
 use sortie_learn::LearnError;
-use sortie_methods::alma::agents::{Conditioning, NetworkPolicy};
-use sortie_methods::alma::evaluate::EvaluationPlan;
-use sortie_methods::alma::teams::{Allocate, Scene, ScriptedActors, Team};
+use sortie_learn::play::watch;
+use sortie_learn::subtasks::{
+    Agents, Allocate, AllocatedScene, AllocatedTeam, NoSubtasks, PolicyAgents, ScriptedAgents,
+};
 use sortie_stage::save_the_city::{
     AgentFacts, BuildingFacts, EpisodeResult, Event, Names, State, Step,
 };
@@ -23,10 +24,10 @@ use crate::environment;
 use crate::failure::{Exit, Failure};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::subject::{self, Subject, SubjectAllocator};
-use crate::views::captured::DeployedMind;
+use crate::views::captured::Diary;
 use crate::views::page::{Deeds, FORMAT, Web, html, script, style};
 use crate::views::{Page, Wanted};
-use capture::{Captured, Played, Replayed, Thinker, capture, open_recording};
+use capture::{Captured, capture, open_recording, play_again};
 use values::TeamValueProbe;
 
 pub(super) const WEB: Web = Web {
@@ -74,11 +75,7 @@ pub(super) const WEB: Web = Web {
 pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
     let set = wanted.set.clone().unwrap_or_default();
     let (number, seed) = (wanted.episode, wanted.seed);
-    let environment = set.open(Split::Test)?;
-    let plan = EvaluationPlan::new(&*environment, number + 1, seed);
-    if let Subject::Bundle(bundle) = subject {
-        environment::check_fits(bundle, &set)?;
-    }
+    let environment = subject.open(&set)?;
     let draws = (ProposalArguments::default(), seed);
     let (allocation, mut allocator) = subject::open_for(
         (subject, set.entry()),
@@ -88,11 +85,15 @@ pub(super) fn played(wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Fai
         Backend::Plan,
         draws,
     )?;
-    let mut allocator = allocator.allocator()?;
-    let mut played = Played { plan: &plan, allocator: allocator.as_mut() };
-    let probe = TeamValueProbe::of(subject)?;
-    let captured =
-        think(Some(subject), seed, |thinker| capture(&mut played, thinker, probe, plan.interval))?;
+    let (probe, interval) = (TeamValueProbe::of(subject)?, subject.interval());
+    let captured = think(Some(subject), seed, allocator.allocator()?, |team| {
+        capture(team, probe, interval, |team, steps| {
+            // As evaluations number them.
+            let mut world = environment.open(1, Split::Test);
+            watch(&mut *world, team, number..number + 1, seed, steps)?;
+            Ok(())
+        })
+    })?;
     let mut notes = Vec::new();
     if matches!(subject, Subject::Scripted) {
         notes.push("The scripted low level has no network: no utilities, no attention.".into());
@@ -141,12 +142,14 @@ pub(super) fn recorded(wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure>
         SubjectAllocator::open(choice, subject.as_ref(), &owner, Backend::Plan, draws)
     };
     let mut allocator = choice.map(open).transpose()?;
-    let mut allocator = allocator.as_mut().map(SubjectAllocator::allocator).transpose()?;
-    let allocator = allocator.as_mut().map(|allocator| allocator.as_mut() as &mut dyn Allocate);
-    let mut replayed = Replayed { playback: &mut playback, allocator };
+    let allocator: Box<dyn Allocate + '_> = match &mut allocator {
+        Some(allocator) => allocator.allocator()?,
+        None => Box::new(NoSubtasks),
+    };
     let probe = subject.as_ref().map(TeamValueProbe::of).transpose()?.flatten();
-    let captured = think(subject.as_ref(), wanted.seed, |thinker| {
-        capture(&mut replayed, thinker, probe, DecisionPoints::ACTION_LENGTH)
+    let interval = interval_of(subject.as_ref());
+    let captured = think(subject.as_ref(), wanted.seed, allocator, |team| {
+        capture(team, probe, interval, |team, steps| play_again(&mut playback, team, steps))
     })?;
     Ok(page(&Data {
         allocation: choice.map(|choice| choice.name().into()),
@@ -191,33 +194,49 @@ fn notes_on_recording(
 fn think(
     subject: Option<&Subject>,
     seed: u64,
-    watch: impl FnOnce(Thinker<'_>) -> Result<Captured, Failure>,
+    allocator: Box<dyn Allocate + '_>,
+    watch: impl FnOnce(AllocatedTeam<'_>) -> Result<Captured, Failure>,
 ) -> Result<Captured, Failure> {
-    match subject {
-        Some(Subject::Run(run)) => {
-            if run.config.subtask() != Conditioning::Mask {
-                return Err(usage(
-                    "the agents of this run do not act under the subtask mask; only \
-                                  such agents can be viewed",
-                ));
-            }
-            watch(Thinker::Mind(&mut NetworkPolicy::new(&run.network)))
-        }
+    let interval = interval_of(subject);
+    let agents: Box<dyn Agents + '_> = match subject {
         Some(Subject::Bundle(bundle)) => {
             let mut deployed = DeployedPolicy::open(bundle, Backend::Plan)?;
-            let mut mind = DeployedMind::new(bundle, deployed.policy()?)?;
-            watch(Thinker::Mind(&mut mind))
+            let mut diary = Diary::new(bundle, deployed.policy()?)?;
+            let agents = Box::new(PolicyAgents::new(&mut diary));
+            let mut captured = watch(AllocatedTeam::new(agents, allocator, interval))?;
+            captured.give_thoughts(diary.thoughts);
+            return Ok(captured);
         }
-        Some(Subject::Scripted) => watch(Thinker::Silent(&mut ScriptedActors::new(seed))),
-        None => watch(Thinker::Silent(&mut Nobody)),
-    }
+        Some(Subject::Run(run)) => {
+            let agents = run.method.subtasks().map(|subtasks| subtasks.agents);
+            let captured =
+                watch(AllocatedTeam::new(agents.ok_or_else(unmasked)?, allocator, interval))?;
+            let is_told = captured.states.first().is_some_and(|state| state.thoughts.is_some());
+            return if is_told { Ok(captured) } else { Err(unmasked()) };
+        }
+        Some(Subject::Scripted) => Box::new(ScriptedAgents::new(seed)),
+        None => Box::new(Nobody),
+    };
+    watch(AllocatedTeam::new(agents, allocator, interval))
 }
 
-/// A team that is not asked.
+fn interval_of(subject: Option<&Subject>) -> u32 {
+    subject.map_or(DecisionPoints::ACTION_LENGTH, Subject::interval)
+}
+
+/// Whom agents attend to is known where the subtask mask is all that they see.
+fn unmasked() -> Failure {
+    usage(
+        "the agents of this run do not act under the subtask mask; only \
+         such agents can be viewed",
+    )
+}
+
+/// Agents that are not asked.
 struct Nobody;
 
-impl Team for Nobody {
-    fn act(&mut self, _: &[Scene<'_>], _: &mut [u16], _: usize) -> Result<(), LearnError> {
+impl Agents for Nobody {
+    fn act(&mut self, _: &[AllocatedScene<'_>], _: &mut [u16], _: usize) -> Result<(), LearnError> {
         Ok(())
     }
 }

@@ -6,10 +6,10 @@ use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
-use sortie_methods::alma::teams::Allocation;
-use sortie_methods::alma::windows::allocation::{AllocationLevel, AllocationState};
-use sortie_methods::alma::windows::low_level::{LowLevel, LowLevelConfig};
-use sortie_methods::alma::windows::{
+use sortie_methods::learners::teams::Allocation;
+use sortie_methods::learners::windows::allocation::{AllocationLevel, AllocationState};
+use sortie_methods::learners::windows::low_level::{LowLevel, LowLevelConfig};
+use sortie_methods::learners::windows::{
     Config, Replay, SampleShape, Shaping, WindowLearner, WindowShape, Windows, cut_windows,
     draw_episodes,
 };

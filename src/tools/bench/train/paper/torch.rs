@@ -6,12 +6,12 @@ use std::path::Path;
 use serde::Deserialize;
 use sortie_cli::failure::{Exit, Failure};
 use sortie_envs::random::unit;
-use sortie_methods::alma::agents::UtilityNetwork;
-use sortie_methods::alma::windows::allocation::{
+use sortie_methods::learners::agents::UtilityNetwork;
+use sortie_methods::learners::windows::allocation::{
     AllocationCritic, AllocationPolicy, AllocationShape, Noise, Rows, StepDraws,
 };
-use sortie_methods::alma::windows::low_level::{HYPERNETWORKS, LowLevelNetworks, Mixer};
-use sortie_methods::alma::windows::{PopArt, WindowShape, Windows};
+use sortie_methods::learners::windows::low_level::{HYPERNETWORKS, LowLevelNetworks, Mixer};
+use sortie_methods::learners::windows::{PopArt, WindowShape, Windows};
 
 use super::super::program::{Comparison, Expected, Program, Tensors};
 use super::learning::Levels;

@@ -5,6 +5,7 @@
 
 use sortie_envs::random::{below, member};
 use sortie_envs::{ActionSet, Observation, Shape, SparseRows, UNASSIGNED, members};
+use sortie_learn::subtasks::NO_ACTION;
 use sortie_learn::words;
 use sortie_nn::random::Generator;
 
@@ -44,9 +45,6 @@ impl Conditioning {
         if self == Self::Input { tasks } else { 0 }
     }
 }
-
-/// The last action of an agent that has not acted yet in its episode.
-pub const NO_ACTION: u8 = u8::MAX;
 
 /// What the columns of a row are: an entity's features, its last action as one-hot, and where entities are marked with
 /// their subtask, the marks.

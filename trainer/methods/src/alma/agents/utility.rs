@@ -7,12 +7,10 @@
 //! embedding. The published network has no `W_s`: it sees its own row through attention only.
 
 use std::ops::Range;
-use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::Spec;
-use sortie_learn::run::checkpoint::Checkpoint;
-use sortie_learn::{LearnError, state};
+use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix};
+use sortie_learn::state;
 use sortie_nn::layers::attention::AttentionShape;
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::{Generator, signed_unit};
@@ -140,7 +138,7 @@ impl UtilityNetwork {
         Self { shape, parameters }
     }
 
-    /// The tensors in PyTorch's layout, for export.
+    /// The tensors in PyTorch's layout.
     pub fn weights(&self) -> UtilityWeights {
         let UtilityShape { input, width, .. } = self.shape;
         let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias, skip] =
@@ -157,6 +155,32 @@ impl UtilityNetwork {
             head_weight: head,
             head_bias,
             skip_weight: skip,
+        }
+    }
+
+    /// The layers, for export.
+    pub fn layers(&self) -> AttentionNetwork<'_> {
+        let UtilityShape { input, width, heads, base, actions, skip } = self.shape;
+        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias, past] =
+            self.shape.places().map(|tensor| &self.parameters[tensor.range]);
+        let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
+        let layer = |values, bias| Layer { weight: matrix(values), bias };
+        AttentionNetwork {
+            inputs: input,
+            width,
+            heads,
+            base,
+            outputs: actions,
+            fc1: Layer {
+                weight: Matrix { values: fc1, layout: Layout::InputsFirst },
+                bias: fc1_bias,
+            },
+            attention_in: matrix(attention_in),
+            attention_out: layer(out, out_bias),
+            skip: skip.then(|| matrix(past)),
+            fc2: Some(layer(fc2, fc2_bias)),
+            head: layer(head, head_bias),
+            pointing: None,
         }
     }
 
@@ -284,36 +308,6 @@ pub(crate) fn tensors(shape: UtilityShape) -> Vec<state::Tensor> {
         range: tensor.range,
     };
     shape.tensors().into_iter().map(tensor).collect()
-}
-
-/// A network by its name and vector, as in `agents/online`.
-pub(crate) fn network_of(
-    checkpoint: &Checkpoint,
-    name: &str,
-    shape: UtilityShape,
-) -> Result<UtilityNetwork, LearnError> {
-    let parameters = checkpoint.vector(name, &tensors(shape))?;
-    let misfit = || checkpoint.bad(format!("`{name}` does not fit its shape"));
-    UtilityNetwork::from_parameters(shape, parameters).ok_or_else(misfit)
-}
-
-/// What another run has learned, whichever learner it had.
-#[derive(Clone, Debug)]
-pub struct Learned {
-    /// The agents' network; its averaged weights where the run averages.
-    pub network: UtilityNetwork,
-    /// The recurrent unit of the agents' memory; empty where they have none.
-    pub memory_unit: Vec<f32>,
-    /// What teams are worth at subtasks, if the run learned that.
-    pub team_values: Option<UtilityNetwork>,
-}
-
-/// Opens what the run in a folder has learned, in an environment like this one.
-pub type OpenLearned = fn(&Path, &Spec) -> Result<Learned, LearnError>;
-
-/// For methods that are not told how.
-pub(crate) fn open_nothing(folder: &Path, _: &Spec) -> Result<Learned, LearnError> {
-    Err(LearnError::Config(format!("nothing opens the run in {}", folder.display())))
 }
 
 #[cfg(test)]

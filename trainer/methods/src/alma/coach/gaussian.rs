@@ -1,6 +1,8 @@
-//! Normal distributions of independent numbers, as rows: means, then logarithms of variances.
+//! Normal distributions of independent numbers, on a tape.
 
 use std::f32::consts::PI;
+
+use sortie_nn::tape::{Pass, Var};
 
 /// Bounds of the logarithm of a variance.
 const LOG_VARIANCE: (f32, f32) = (-10.0, 0.0);
@@ -9,58 +11,49 @@ const LOG_DENSITY: (f32, f32) = (-1000.0, 0.0);
 /// Bounds of the entropy of a number.
 const ENTROPY: (f32, f32) = (0.0, 10.0);
 
-/// Keeps logarithms of variances within their bounds, in rows `[rows, 2 R]`.
-pub(super) fn clamp(width: usize, rows: &mut [f32]) {
-    let (least, most) = LOG_VARIANCE;
-    for row in rows.chunks_exact_mut(2 * width) {
-        row[width..].iter_mut().for_each(|value| *value = value.clamp(least, most));
+/// Distributions of so many rows of numbers.
+#[derive(Clone, Copy, Debug)]
+pub struct Gaussian {
+    /// `[rows, R]`
+    pub means: Var,
+    /// Logarithms of variances `[rows, R]`.
+    pub log_variances: Var,
+}
+
+impl Gaussian {
+    /// Means, and logarithms of variances that are kept within their bounds.
+    pub(super) fn bounded(t: &mut Pass<'_>, [means, log_variances]: [Var; 2]) -> Self {
+        let (least, most) = LOG_VARIANCE;
+        Self { means, log_variances: t.clamp(log_variances, least, most) }
+    }
+
+    /// Numbers `[rows, R]` drawn with as many standard normal ones.
+    pub fn draw(self, t: &mut Pass<'_>, noise: &[f32]) -> Var {
+        let width = t.size(self.means)[1];
+        let halves = t.scale(self.log_variances, 0.5);
+        let (deviations, noise) = (t.exp(halves), t.input(width, noise));
+        let distances = t.multiply(noise, deviations);
+        t.add(self.means, distances)
+    }
+
+    /// Logarithms of the densities of numbers, within their bounds.
+    pub(crate) fn log_density(self, t: &mut Pass<'_>, numbers: Var) -> Var {
+        let negative = t.scale(self.means, -1.0);
+        let distances = t.add(numbers, negative);
+        let squares = t.multiply(distances, distances);
+        let negative = t.scale(self.log_variances, -1.0);
+        let precisions = t.exp(negative);
+        let scaled = t.multiply(squares, precisions);
+        let sum = t.add(scaled, self.log_variances);
+        let sum = t.offset(sum, (2.0 * PI).ln());
+        let logarithms = t.scale(sum, -0.5);
+        t.clamp(logarithms, LOG_DENSITY.0, LOG_DENSITY.1)
     }
 }
 
-/// Zeroes the slopes of what stands at a bound.
-pub(super) fn clamp_backward(width: usize, rows: &[f32], d_rows: &mut [f32]) {
-    let (least, most) = LOG_VARIANCE;
-    for (row, d_row) in rows.chunks_exact(2 * width).zip(d_rows.chunks_exact_mut(2 * width)) {
-        for (value, slope) in row[width..].iter().zip(&mut d_row[width..]) {
-            if *value <= least || *value >= most {
-                *slope = 0.0;
-            }
-        }
-    }
-}
-
-/// What is drawn from a row `[2 R]` with standard normal numbers `[R]`.
-pub fn drawn<'a>(row: &'a [f32], noise: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
-    let (means, log_variances) = row.split_at(noise.len());
-    let numbers = means.iter().zip(log_variances).zip(noise);
-    numbers.map(|((mean, log_variance), noise)| mean + noise * deviation(*log_variance))
-}
-
-/// The standard deviation that belongs to the logarithm of a variance.
-pub(crate) fn deviation(log_variance: f32) -> f32 {
-    (0.5 * log_variance).exp()
-}
-
-/// A number's logarithm of density within its bounds, and its slopes by number, mean and logarithm of the
-/// variance, in this order.
-pub(crate) fn log_density(number: f32, mean: f32, log_variance: f32) -> (f32, [f32; 3]) {
-    let (least, most) = LOG_DENSITY;
-    let distance = number - mean;
-    let scaled = distance * (-log_variance).exp();
-    let square = distance * scaled;
-    let density = -0.5 * (square + log_variance + (2.0 * PI).ln());
-    let slopes = if (least..=most).contains(&density) {
-        [-scaled, scaled, 0.5 * (square - 1.0)]
-    } else {
-        [0.0; 3]
-    };
-    (density.clamp(least, most), slopes)
-}
-
-/// A number's entropy within its bounds, and its slope by the logarithm of the variance.
-pub(crate) fn entropy(log_variance: f32) -> (f32, f32) {
-    let (least, most) = ENTROPY;
-    let entropy = 0.5 * (1.0 + (2.0 * PI).ln() + log_variance);
-    let slope = if (least..=most).contains(&entropy) { 0.5 } else { 0.0 };
-    (entropy.clamp(least, most), slope)
+/// The entropies of numbers whose logarithms of variances these are, within their bounds.
+pub(crate) fn entropies(t: &mut Pass<'_>, log_variances: Var) -> Var {
+    let sum = t.offset(log_variances, 1.0 + (2.0 * PI).ln());
+    let entropies = t.scale(sum, 0.5);
+    t.clamp(entropies, ENTROPY.0, ENTROPY.1)
 }

@@ -4,31 +4,33 @@
 //! vector for every agent, its strategy, which is added before the head of the agent's utility network
 //! until the next decision; before the first it is zero. Where a team is measured the mean is told.
 
-pub mod gaussian;
+pub(crate) mod gaussian;
 mod networks;
-mod passes;
 
 use sortie_envs::{Observation, members};
 use sortie_learn::LearnError;
 use sortie_nn::random::{Generator, normals};
+use sortie_nn::tape::{Places, Tape};
 
 use super::agents::{TaskOrder, UtilityInput};
 
-pub use networks::{Coach, CoachShape, Recognition, RecognitionShape};
-pub use passes::{CoachPass, PlayerPass, RecognitionPass};
+pub use gaussian::Gaussian;
+pub use networks::{
+    Coach, CoachLayers, CoachShape, Recognition, RecognitionLayers, RecognitionShape,
+};
 
 /// Tells the agents of a state their strategies.
 #[derive(Debug)]
 pub struct Advice<'a> {
     coach: &'a Coach,
-    pass: CoachPass,
+    tape: Tape,
     input: UtilityInput,
 }
 
 impl<'a> Advice<'a> {
     /// By a coach.
     pub fn new(coach: &'a Coach) -> Self {
-        Self { coach, pass: CoachPass::default(), input: UtilityInput::default() }
+        Self { coach, tape: Tape::default(), input: UtilityInput::default() }
     }
 
     /// Writes the mean strategies `[agents, R]`, subtasks having the marks of their numbers: how a team is
@@ -41,7 +43,7 @@ impl<'a> Advice<'a> {
         seen: &Observation,
         strategies: &mut Vec<f32>,
     ) -> Result<(), LearnError> {
-        let Self { coach, pass, input } = self;
+        let Self { coach, tape, input } = self;
         let (shape, tasks) = (coach.shape(), seen.tasks());
         if tasks > shape.marks {
             let known = shape.marks;
@@ -49,9 +51,10 @@ impl<'a> Advice<'a> {
             return Err(LearnError::Config(reason));
         }
         seen_input(shape, seen, &TaskOrder::identity(tasks), input);
-        let rows = pass.forward(coach, input).chunks_exact(2 * shape.strategy);
+        let mut t = tape.begin(coach.parameters());
+        let told = CoachLayers::of(shape, &mut Places::default()).strategies(&mut t, input);
         strategies.clear();
-        rows.for_each(|row| strategies.extend_from_slice(&row[..shape.strategy]));
+        strategies.extend_from_slice(t.values(told.means));
         Ok(())
     }
 
@@ -63,16 +66,15 @@ impl<'a> Advice<'a> {
         generator: &mut Generator,
         strategies: &mut Vec<f32>,
     ) {
-        let Self { coach, pass, input } = self;
+        let Self { coach, tape, input } = self;
         let shape = coach.shape();
         let order = TaskOrder::shuffled(shape.marks, generator);
         seen_input(shape, seen, &order, input);
-        let rows = pass.forward(coach, input).chunks_exact(2 * shape.strategy);
-        let noise = normals(generator, seen.agents() * shape.strategy);
+        let mut t = tape.begin(coach.parameters());
+        let told = CoachLayers::of(shape, &mut Places::default()).strategies(&mut t, input);
+        let drawn = told.draw(&mut t, &normals(generator, seen.agents() * shape.strategy));
         strategies.clear();
-        for (row, noise) in rows.zip(noise.chunks_exact(shape.strategy)) {
-            strategies.extend(gaussian::drawn(row, noise));
-        }
+        strategies.extend_from_slice(t.values(drawn));
     }
 }
 

@@ -2,13 +2,11 @@
 //! trunk: entities embedded, agents that look at all of them.
 
 use sortie_nn::layers::attention::AttentionShape;
-use sortie_nn::layers::linear::{self, LinearShape};
-use sortie_nn::layers::matrix::Store;
-use sortie_nn::layers::relu;
-use sortie_nn::random::{Generator, signed_unit};
+use sortie_nn::random::Generator;
+use sortie_nn::tape::{Linear, Pass, Places, Var};
 
-use crate::alma::agents::{AttentionGradients, AttentionWeights, EntityAttention, UtilityInput};
-use crate::sized;
+use super::gaussian::Gaussian;
+use crate::alma::agents::{TrunkLayers, UtilityInput, drawn};
 
 /// Sizes of a coach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,25 +24,56 @@ pub struct CoachShape {
 }
 
 impl CoachShape {
-    pub(super) fn trunk(self) -> TrunkShape {
-        let Self { features, marks, width, heads, .. } = self;
-        TrunkShape { input: features + marks, width, heads }
-    }
-
-    /// The layer `[2 R, E]` that gives means and logarithms of variances.
-    pub(super) fn head(self) -> LinearShape {
-        LinearShape { input: self.width, output: 2 * self.strategy }
+    fn attention(self) -> AttentionShape {
+        AttentionShape { width: self.width, heads: self.heads }
     }
 
     /// Number of parameters.
     pub fn parameters(self) -> usize {
-        let LinearShape { input, output } = self.head();
-        self.trunk().parameters() + output * input + output
+        let places = &mut Places::default();
+        CoachLayers::of(self, places);
+        places.end
     }
 }
 
-/// The coach. Its parameters: `fc1.weight [d + marks, E]`, then matrices `[out, in]` with their biases:
-/// query, key and value, attention's output, mean and logarithm of the variance.
+/// The layers of a coach, in the order of its parameters.
+#[derive(Clone, Copy, Debug)]
+pub struct CoachLayers {
+    /// Over rows of features, then marks.
+    trunk: TrunkLayers,
+    out: Linear,
+    /// Means, then logarithms of variances.
+    head: Linear,
+}
+
+impl CoachLayers {
+    /// Those of a coach of this shape.
+    pub fn of(shape: CoachShape, places: &mut Places) -> Self {
+        let CoachShape { features, marks, width, strategy, .. } = shape;
+        Self {
+            trunk: TrunkLayers::of(features + marks, shape.attention(), places),
+            out: places.linear(width, width),
+            head: places.linear(width, 2 * strategy),
+        }
+    }
+
+    /// What the strategies of all agents are drawn from.
+    pub fn strategies(self, t: &mut Pass<'_>, input: &UtilityInput) -> Gaussian {
+        let looked = look(t, self.trunk, self.out, input);
+        let rows = t.linear(looked, self.head);
+        let strategy = self.head.shape.output / 2;
+        let halves = [0..strategy, strategy..2 * strategy].map(|half| t.columns(rows, half));
+        Gaussian::bounded(t, halves)
+    }
+}
+
+/// What each agent makes of all it looks at, `[agents, E]`.
+fn look(t: &mut Pass<'_>, trunk: TrunkLayers, out: Linear, input: &UtilityInput) -> Var {
+    let [attended, _] = trunk.attend(t, input);
+    t.linear_rectified(attended, out)
+}
+
+/// The coach: its sizes and all parameters, in the order of its layers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Coach {
     shape: CoachShape,
@@ -56,9 +85,7 @@ flat_network!(Coach, CoachShape);
 impl Coach {
     /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
     pub fn initialise(shape: CoachShape, generator: &mut Generator) -> Self {
-        let mut parameters = Vec::with_capacity(shape.parameters());
-        draw_trunk(shape, 0, &mut parameters, generator);
-        draw(&mut parameters, shape.parameters(), shape.width, generator);
+        let parameters = drawn(tensors(shape, 0, shape.parameters()), generator);
         Self { shape, parameters }
     }
 }
@@ -73,31 +100,52 @@ pub struct RecognitionShape {
 }
 
 impl RecognitionShape {
-    pub(super) fn trunk(self) -> TrunkShape {
-        let trunk = self.coach.trunk();
-        TrunkShape { input: trunk.input + self.actions, ..trunk }
-    }
-
-    /// The hidden layers of mean and variance, one behind the other: `[2 E, E]`.
-    pub(super) fn hidden(self) -> LinearShape {
-        LinearShape { input: self.coach.width, output: 2 * self.coach.width }
-    }
-
-    /// The last layer of each: `[R, E]`.
-    pub(super) fn last(self) -> LinearShape {
-        LinearShape { input: self.coach.width, output: self.coach.strategy }
-    }
-
     /// Number of parameters.
     pub fn parameters(self) -> usize {
-        let layer = |LinearShape { input, output }| output * input + output;
-        self.trunk().parameters() + layer(self.hidden()) + 2 * layer(self.last())
+        let places = &mut Places::default();
+        RecognitionLayers::of(self, places);
+        places.end
     }
 }
 
-/// The recognition network. Its parameters: those of the trunk as a [`Coach`] has them, with a row of
-/// `fc1` for every action behind the marks, then the hidden layers of mean and variance, and the last
-/// matrices of both, then their biases.
+/// The layers of a recognition network, in the order of its parameters.
+#[derive(Clone, Copy, Debug)]
+pub struct RecognitionLayers {
+    /// Over rows of features, marks and actions.
+    trunk: TrunkLayers,
+    out: Linear,
+    /// Those of mean and variance, one behind the other: `[2 E, E]`.
+    hidden: Linear,
+    /// The last layer of each; their weights stand together, then their biases.
+    last: [Linear; 2],
+}
+
+impl RecognitionLayers {
+    /// Those of a network of this shape.
+    pub fn of(shape: RecognitionShape, places: &mut Places) -> Self {
+        let CoachShape { features, marks, width, strategy, .. } = shape.coach;
+        let attention = shape.coach.attention();
+        let trunk = TrunkLayers::of(features + marks + shape.actions, attention, places);
+        let (out, hidden) = (places.linear(width, width), places.linear(width, 2 * width));
+        let last = [0, 1].map(|_| places.projection(width, strategy));
+        let last = last.map(|layer| Linear { bias: Some(places.numbers(strategy)), ..layer });
+        Self { trunk, out, hidden, last }
+    }
+
+    /// What the strategies of all agents seem to be.
+    pub fn guess(self, t: &mut Pass<'_>, input: &UtilityInput) -> Gaussian {
+        let looked = look(t, self.trunk, self.out, input);
+        let hidden = t.linear_rectified(looked, self.hidden);
+        let width = self.hidden.shape.input;
+        let halves = [0, 1].map(|half| {
+            let own = t.columns(hidden, half * width..(half + 1) * width);
+            t.linear(own, self.last[half])
+        });
+        Gaussian::bounded(t, halves)
+    }
+}
+
+/// The recognition network: its sizes and all parameters, in the order of its layers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recognition {
     shape: RecognitionShape,
@@ -109,133 +157,16 @@ flat_network!(Recognition, RecognitionShape);
 impl Recognition {
     /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
     pub fn initialise(shape: RecognitionShape, generator: &mut Generator) -> Self {
-        let mut parameters = Vec::with_capacity(shape.parameters());
-        draw_trunk(shape.coach, shape.actions, &mut parameters, generator);
-        draw(&mut parameters, shape.parameters(), shape.coach.width, generator);
-        Self { shape, parameters }
+        let tensors = tensors(shape.coach, shape.actions, shape.parameters());
+        Self { shape, parameters: drawn(tensors, generator) }
     }
 }
 
-/// Draws a trunk: features, marks and actions are layers of their own that are added up.
-fn draw_trunk(
-    shape: CoachShape,
-    actions: usize,
-    parameters: &mut Vec<f32>,
-    generator: &mut Generator,
-) {
+/// Numbers and inputs of all tensors of a network of so many parameters: features, marks and actions are layers of their
+/// own that are added up; all others are over the width.
+fn tensors(shape: CoachShape, actions: usize, parameters: usize) -> [(usize, usize); 5] {
     let CoachShape { features, marks, width, .. } = shape;
-    let mut end = 0;
-    for (rows, inputs) in [
-        (features, features),
-        (marks, marks),
-        (actions, actions),
-        (1, features),
-        (4 * width, width),
-        (1, width),
-    ] {
-        end += rows * width;
-        draw(parameters, end, inputs, generator);
-    }
-}
-
-/// Draws parameters of a layer with so many inputs, up to a length of the vector.
-fn draw(parameters: &mut Vec<f32>, end: usize, inputs: usize, generator: &mut Generator) {
-    let bound = 1.0 / (inputs as f32).sqrt();
-    let count = end - parameters.len();
-    parameters.extend((0..count).map(|_| bound * signed_unit(generator)));
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct TrunkShape {
-    /// Input columns of one entity.
-    pub(super) input: usize,
-    /// Width E of embedding and attention.
-    pub(super) width: usize,
-    /// Attention heads, a divisor of the width.
-    pub(super) heads: usize,
-}
-
-impl TrunkShape {
-    /// Lengths of `fc1.weight [input, E]`, `fc1.bias`, queries, keys and values, `out.weight`, `out.bias`.
-    fn lengths(self) -> [usize; 6] {
-        let Self { input, width, .. } = self;
-        let square = width * width;
-        [input * width, width, square, 2 * square, square, width]
-    }
-
-    pub(super) fn parameters(self) -> usize {
-        self.lengths().iter().sum()
-    }
-
-    fn attention(self) -> AttentionShape {
-        AttentionShape { width: self.width, heads: self.heads }
-    }
-
-    fn square(self) -> LinearShape {
-        LinearShape { input: self.width, output: self.width }
-    }
-
-    fn view(self, parameters: &[f32]) -> (AttentionWeights<'_>, &[f32], &[f32]) {
-        let mut rest = parameters;
-        let [fc1, fc1_bias, queries, keys_values, out, out_bias] =
-            self.lengths().map(|length| rest.split_off(..length).expect("all tensors"));
-        (AttentionWeights { fc1, fc1_bias, queries, keys_values }, out, out_bias)
-    }
-
-    fn view_mut(self, vector: &mut [f32]) -> (AttentionGradients<'_>, &mut [f32], &mut [f32]) {
-        let mut rest = vector;
-        let [fc1, fc1_bias, queries, keys_values, out, out_bias] =
-            self.lengths().map(|length| rest.split_off_mut(..length).expect("all tensors"));
-        (AttentionGradients { fc1, fc1_bias, queries, keys_values }, out, out_bias)
-    }
-}
-
-/// Buffers of one worker: the activations of the last forward pass and space for a backward pass.
-#[derive(Clone, Debug, Default)]
-pub(super) struct TrunkPass {
-    attention: EntityAttention,
-    looked: Vec<f32>,
-    d_attended: Vec<f32>,
-}
-
-impl TrunkPass {
-    /// Computes what each agent makes of all it looks at, `[queries, E]`, rectified.
-    pub(super) fn forward(
-        &mut self,
-        shape: TrunkShape,
-        parameters: &[f32],
-        input: &UtilityInput,
-    ) -> &[f32] {
-        let (weights, out, out_bias) = shape.view(parameters);
-        let attended = self.attention.forward(shape.attention(), weights, input);
-        let looked = sized(&mut self.looked, attended.len());
-        linear::forward_rectified(shape.square(), attended, out, out_bias, looked);
-        looked
-    }
-
-    /// What the last forward pass computed for so many agents.
-    pub(super) fn looked(&self, shape: TrunkShape, queries: usize) -> &[f32] {
-        &self.looked[..queries * shape.width]
-    }
-
-    /// Adds the gradients of a loss whose slope by what the last forward pass computed is `d_looked`,
-    /// which is rectified in place.
-    pub(super) fn backward(
-        &mut self,
-        shape: TrunkShape,
-        parameters: &[f32],
-        input: &UtilityInput,
-        d_looked: &mut [f32],
-        gradient: &mut [f32],
-    ) {
-        let (weights, out, _) = shape.view(parameters);
-        let (gradients, d_out, d_out_bias) = shape.view_mut(gradient);
-        relu::backward(&self.looked[..d_looked.len()], d_looked);
-        let attended = self.attention.attended(d_looked.len());
-        linear::backward_weight(shape.square(), attended, d_looked, d_out);
-        linear::backward_bias(d_looked, d_out_bias);
-        let d_attended = sized(&mut self.d_attended, d_looked.len());
-        linear::backward_input(shape.square(), d_looked, out, Store::Replace, d_attended);
-        self.attention.backward(shape.attention(), weights, input, d_attended, None, gradients);
-    }
+    let [entities, marked, acting] = [features, marks, actions].map(|inputs| inputs * width);
+    let rest = parameters - entities - marked - acting - width;
+    [(entities, features), (marked, marks), (acting, actions), (width, features), (rest, width)]
 }

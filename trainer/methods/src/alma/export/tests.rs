@@ -4,7 +4,6 @@ use sortie_learn::export::attention::ExportError;
 use sortie_learn::export::{TeamValueExport, team_value_onnx};
 use sortie_learn::random::{Purpose, generator};
 
-use super::layers;
 use crate::alma::agents::{UtilityNetwork, UtilityShape};
 
 const FEATURES: usize = 6;
@@ -14,9 +13,9 @@ fn export(relations: usize) -> Result<Vec<u8>, ExportError> {
     let input = FEATURES + 2 + RELATIONS;
     let shape = UtilityShape { input, width: 16, heads: 2, base: 8, actions: 1, skip: false };
     let weights = generator(7, Purpose::Weights, 0);
-    let network = UtilityNetwork::initialise(shape, 8.0, &mut { weights }).weights();
+    let network = UtilityNetwork::initialise(shape, 8.0, &mut { weights });
     let (features, contract) = (FEATURES, 0x0123_4567_89ab_cdef);
-    let layers = layers(&network);
+    let layers = network.layers();
     team_value_onnx(&TeamValueExport { features, relations, contract, layers })
 }
 

@@ -11,8 +11,9 @@ use super::config::Config;
 use super::history::Reached;
 use super::team_value::{Decision, Segment, Segments, TeamSearch};
 use crate::alma::agents::UtilityNetwork;
-use crate::alma::teams::{Allocate, Allocation};
+use crate::alma::teams::Allocation;
 use sortie_learn::LearnError;
+use sortie_learn::subtasks::Allocate;
 
 /// Who stands in for an allocator that has not begun to decide.
 pub(crate) const STAND_INS: [Allocation; 2] = [Allocation::Coordinated, Allocation::Heuristic];

@@ -5,8 +5,10 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::{Environment, Random};
+use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Level, Rates, Reports};
+use sortie_learn::subtasks::{Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, Subtasks};
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 use sortie_nn::workers::Workers;
@@ -19,8 +21,10 @@ use super::replay::Replay;
 use super::rollout::{Behaviour, Memory, Rollout};
 use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};
 use super::temporal_difference::Chunk;
-use crate::alma::agents::{OpenLearned, UtilityNetwork, open_nothing, tensors};
-use crate::alma::teams::{Agents, Allocate, AllocatedTeam, Allocation, NetworkTeam, NoSubtasks};
+use crate::alma::agents::{UtilityNetwork, tensors};
+use crate::alma::export;
+use crate::alma::learned::Learned;
+use crate::alma::teams::{Agents, Allocation, NetworkAgents};
 
 /// Tells the allocator's streams of random numbers from the agents'.
 const ALLOCATOR_STREAM: u64 = 1;
@@ -58,8 +62,6 @@ pub struct Records {
     /// There is one if the run learns an allocator.
     pub allocator: Option<Learner<TeamValueLoss>>,
     observer: Observer,
-    /// Opens the run to begin with.
-    open_learned: OpenLearned,
     workers: Workers,
     /// Acts, and cuts what happens into records.
     pub rollout: Rollout,
@@ -87,7 +89,6 @@ impl Records {
         Self {
             rollout: Rollout::new(config, environment.spec()),
             observer,
-            open_learned: open_nothing,
             workers: Workers::new(threads, job),
             agents,
             allocator,
@@ -100,11 +101,6 @@ impl Records {
             keeps_segments: false,
             config: config.clone(),
         }
-    }
-
-    /// The same that can begin with what another run has learned.
-    pub fn beginning_with(self, open_learned: OpenLearned) -> Self {
-        Self { open_learned, ..self }
     }
 
     /// One update of each level that is due and has enough to learn from, both at the same time.
@@ -130,16 +126,42 @@ impl Records {
         }
     }
 
+    /// The agents that are measured.
+    fn measured(&self) -> Agents<'_> {
+        Agents::new(&self.agents.average.utility)
+    }
+
+    /// The averaged weights of the allocator.
+    fn team_values(&self) -> Option<&UtilityNetwork> {
+        self.allocator.as_ref().map(|learner| &learner.average)
+    }
+
+    /// The agents, and what they are allocated by if the run learns that.
+    fn allocated(&self) -> Subtasks<'_> {
+        let Config { network, allocation, .. } = &self.config;
+        let team_max = allocation.team_max;
+        Subtasks {
+            agents: Box::new(NetworkAgents::new(self.measured(), network.subtask)),
+            are_seen: network.subtask.has_subtasks(),
+            interval: allocation.interval,
+            allocator: self.team_values().map(|network| LearnedAllocator {
+                allocate: Box::new(TeamValueAllocator::new(network, team_max)),
+                networks: AllocatorNetworks::TeamValue(Box::new(network.layers())),
+                team_max: Some(team_max),
+            }),
+        }
+    }
+
     /// Who allocates where the team is measured.
-    fn measured_allocator(&self) -> Box<dyn Allocate + '_> {
+    fn measured_allocator<'a>(
+        &self,
+        learned: Option<LearnedAllocator<'a>>,
+    ) -> Box<dyn Allocate + 'a> {
         if !self.config.network.subtask.has_subtasks() {
             return Box::new(NoSubtasks);
         }
-        let team_max = self.config.allocation.team_max;
-        match (self.config.allocation.measured(), &self.allocator) {
-            (Allocation::Learned, Some(learner)) => {
-                Box::new(TeamValueAllocator::new(&learner.average, team_max))
-            }
+        match (self.config.allocation.measured(), learned) {
+            (Allocation::Learned, Some(learned)) => learned.allocate,
             // Whoever is measured under learned allocation learns it.
             (Allocation::Learned, None) => Box::new(NoSubtasks),
             (rule, _) => Box::new(rule.allocator()),
@@ -207,10 +229,47 @@ impl Method for Records {
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
-        let Config { network, allocation, .. } = &self.config;
-        let agents = Agents::new(&self.agents.average.utility);
-        let team = Box::new(NetworkTeam::conditioned(agents, network.subtask));
-        Box::new(AllocatedTeam::new(team, self.measured_allocator(), allocation.interval))
+        let mut subtasks = self.allocated();
+        let allocator = self.measured_allocator(subtasks.allocator.take());
+        Box::new(subtasks.under(allocator))
+    }
+
+    fn subtasks(&self) -> Option<Subtasks<'_>> {
+        Some(self.allocated())
+    }
+
+    fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
+        export::deployed(self.measured(), self.config.network.subtask)
+    }
+
+    fn words(&self) -> Words {
+        let Config { network, returns, replay, allocation, .. } = &self.config;
+        let allocator = match &self.allocator {
+            None => String::new(),
+            Some(_) => format!(
+                "The allocator values every team at every open building by a network of the same kind and takes the\n\
+                 best allocation; a team has at most {} agents.\n\n",
+                allocation.team_max
+            ),
+        };
+        let mut departures = export::skips(self.measured().network, self.team_values());
+        departures += &format!(
+            "- Utilities of a subtask's team are summed (VDN); there is no mixing network.\n\
+             - It learns from records of one step and one subtask, with {}-step returns and discount {}.\n\
+             - Adam with averaged weights; embedding width {}.\n",
+            returns.steps, returns.discount, network.width,
+        );
+        if returns.shaping != 0.0 {
+            departures += &format!(
+                "- Potential shaping of {} per cell between an agent and its building, which leaves the best policy\n  \
+                 as it is.\n",
+                returns.shaping
+            );
+        }
+        if replay.symmetries {
+            departures += "- Sampled records are turned and mirrored at random.\n";
+        }
+        export::words(allocator, departures)
     }
 
     fn allocation(&self) -> &str {
@@ -224,7 +283,7 @@ impl Method for Records {
 
     /// Begins with the averaged weights of another run.
     fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
-        let learned = (self.open_learned)(folder, self.observer.spec())?;
+        let learned = Learned::open(folder, self.observer.spec())?;
         let online = {
             let knowledge = self.agents.knowledge();
             MixedNetwork { utility: learned.network, ..knowledge.online.clone() }

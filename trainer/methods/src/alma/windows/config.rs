@@ -1,5 +1,6 @@
 //! Everything that decides how a run of the preset `paper` learns.
 
+use sortie_envs::Spec;
 use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Truth, Whole};
 use sortie_learn::configuration::{SHARE, STEPS, require};
 use sortie_learn::session::{EnvironmentChoice, Setup};
@@ -8,7 +9,7 @@ use sortie_nn::schedule::linear;
 
 use super::WindowShape;
 use super::allocation::{AllocationLearning, AllocationShape, RowRules};
-use crate::alma::agents::Conditioning;
+use crate::alma::agents::{Conditioning, UtilityShape};
 use crate::alma::records::config::{self as records, RETURNS, ReturnsConfig};
 use crate::alma::teams::Allocation;
 
@@ -259,6 +260,11 @@ impl Config {
                 "`allocation.by` is `{by}`, not `learned`, `heuristic`, `coordinated` or `random`"
             ))
         })
+    }
+
+    /// The shape of the agents' network in an environment.
+    pub fn agents(&self, spec: &Spec) -> UtilityShape {
+        self.low_level.shape(WindowShape::of(spec.shape))
     }
 
     /// Whether the run learns an allocator; without subtasks there is nothing to allocate.

@@ -4,12 +4,12 @@ use rand_core::Rng;
 use sortie_envs::random::{chance, member};
 use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED};
 use sortie_learn::LearnError;
+use sortie_learn::subtasks::Allocate;
 use sortie_nn::random::Generator;
 
 use super::NO_TASK;
 use super::allocation::{AllocationNetworks, Decided, Decider, Noise, States, TaskColumns};
 use super::config::Exploration;
-use crate::alma::teams::Allocate;
 
 /// Proposes allocations and takes the one that the critic values most.
 #[derive(Debug)]
@@ -76,6 +76,11 @@ impl Allocate for ProposalAllocator<'_> {
         let decided = self.propose(environment, state, allocation, Some(columns), generator)?;
         allocation.copy_from_slice(&decided.best);
         Ok(())
+    }
+
+    fn choose_among(&mut self, proposals: usize) -> bool {
+        self.proposals = proposals;
+        true
     }
 }
 

@@ -4,22 +4,26 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::{Environment, Random, Spec};
+use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
+use sortie_learn::subtasks::{Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, Subtasks};
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 
 use super::WindowShape;
-use super::allocation::{AllocationLevel, AllocationState};
+use super::allocation::{AllocationLevel, AllocationNetworks, AllocationState};
 use super::config::Config;
 use super::deciding::ProposalAllocator;
 use super::low_level::LowLevel;
 use super::low_level::coaching::Coaching;
 use super::rollout::{Behaviour, Rollout};
 use super::sampling::{Replay, SampleShape, Shaping, cut_windows, draw_episodes};
-use crate::alma::agents::{OpenLearned, UtilityNetwork, open_nothing, tensors};
+use crate::alma::agents::{UtilityNetwork, tensors};
+use crate::alma::export::{self, ProposalGraphs, export_proposals};
+use crate::alma::learned::Learned;
 use crate::alma::records::config::ReturnsConfig;
-use crate::alma::teams::{Allocate, AllocatedTeam, Allocation, NetworkTeam, NoSubtasks};
+use crate::alma::teams::{Allocation, NetworkAgents};
 
 /// Episodes since the run began, and when target networks were renewed last.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,8 +37,6 @@ struct Episodes {
 #[derive(Debug)]
 pub struct WindowLearner {
     config: Config,
-    /// Opens the run to begin with.
-    open_learned: OpenLearned,
     spec: Spec,
     threads: usize,
     /// Agents, mixer and coach.
@@ -64,7 +66,7 @@ impl WindowLearner {
         }
         let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
         Self {
-            rollout: Rollout::new(config, low_level.online.agents.shape(), spec.shape.agents),
+            rollout: Rollout::new(config, spec.shape.agents),
             allocation: learning.map(|learning| AllocationLevel::new(learning, seed)),
             replay: Replay::new(config.learning.episodes),
             sample: SampleShape {
@@ -76,16 +78,10 @@ impl WindowLearner {
             episodes: Episodes::default(),
             decisions: 0,
             config: config.clone(),
-            open_learned: open_nothing,
             spec: spec.clone(),
             threads,
             low_level,
         }
-    }
-
-    /// The same that can begin with what another run has learned.
-    pub fn beginning_with(self, open_learned: OpenLearned) -> Self {
-        Self { open_learned, ..self }
     }
 
     /// Keeps the episodes of the round that is over.
@@ -133,6 +129,33 @@ impl WindowLearner {
         if *played >= *critic_copied + learning.copy_critic_every {
             *critic_copied = *played;
             self.allocation.iter_mut().for_each(AllocationLevel::copy_target);
+        }
+    }
+
+    /// The agents, and what they are allocated by if the run learns that: the critic's best of as many proposals as in
+    /// training, of which the first is what the policy holds most probable.
+    fn allocated(&self) -> Subtasks<'_> {
+        let Config { low_level, allocation, .. } = &self.config;
+        let agents = NetworkAgents::new(self.low_level.players(), low_level.conditioning);
+        let allocator = self.allocation.as_ref().map(|level| {
+            let networks = level.networks();
+            let proposing = ProposalAllocator::new(networks, allocation.proposals).greedy_first();
+            let write = move |contract| {
+                let AllocationNetworks { policy, critic } = networks;
+                let graphs = export_proposals(&policy.weights(), &critic.weights(), contract);
+                graphs.map(|ProposalGraphs { trunk, step, critic }| [trunk, step, critic])
+            };
+            LearnedAllocator {
+                allocate: Box::new(proposing),
+                networks: AllocatorNetworks::Proposals(Box::new(write)),
+                team_max: None,
+            }
+        });
+        Subtasks {
+            agents: Box::new(agents),
+            are_seen: low_level.conditioning.has_subtasks(),
+            interval: allocation.interval,
+            allocator,
         }
     }
 
@@ -221,10 +244,29 @@ impl Method for WindowLearner {
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
-        let Config { low_level, allocation, .. } = &self.config;
-        let agents = self.low_level.players();
-        let team = Box::new(NetworkTeam::conditioned(agents, low_level.conditioning));
-        Box::new(AllocatedTeam::new(team, self.measured_allocator(), allocation.interval))
+        Box::new(self.allocated().under(self.measured_allocator()))
+    }
+
+    fn subtasks(&self) -> Option<Subtasks<'_>> {
+        Some(self.allocated())
+    }
+
+    fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
+        export::deployed(self.low_level.players(), self.config.low_level.conditioning)
+    }
+
+    fn words(&self) -> Words {
+        let allocator = match &self.allocation {
+            None => "",
+            Some(_) => {
+                "The allocator is a policy that proposes allocations, and a critic that values them and takes the best\n\
+                 (dissertation section 7.2).\n\n"
+            }
+        };
+        let mut departures = export::skips(&self.low_level.online.agents, None);
+        departures += if departures.is_empty() { "- Nowhere but in" } else { "- In" };
+        departures += " the sampled windows: none learns a step from one episode to the next.\n";
+        export::words(allocator.to_owned(), departures)
     }
 
     fn allocation(&self) -> &str {
@@ -233,7 +275,7 @@ impl Method for WindowLearner {
 
     /// Begins with the agents of another run, of any preset.
     fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
-        let learned = (self.open_learned)(folder, &self.spec)?;
+        let learned = Learned::open(folder, &self.spec)?;
         let LowLevel { online, target, .. } = &mut self.low_level;
         let shape = |agents: &UtilityNetwork, unit: &[f32]| (agents.shape(), unit.len());
         if shape(&learned.network, &learned.memory_unit) != shape(&online.agents, &online.gru) {

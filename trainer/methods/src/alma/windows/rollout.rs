@@ -2,15 +2,16 @@
 
 use sortie_envs::random::chance;
 use sortie_envs::{DecisionPoints, EntitySet, Observation, Shape, UNASSIGNED};
+use sortie_learn::subtasks::{Allocate, AllocatedScene};
 use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
 
 use super::config::Config;
 use super::config::Exploration;
 use super::sampling::{Episode, Moment};
-use crate::alma::agents::{NO_ACTION, UtilityShape, best_action, random_action};
+use crate::alma::agents::{NO_ACTION, best_action, random_action};
 use crate::alma::coach::Advice;
-use crate::alma::teams::{Agents, Allocate, Players, Scene};
+use crate::alma::teams::{Agents, Players};
 
 /// What one environment remembers between steps.
 #[derive(Clone, Debug)]
@@ -47,7 +48,7 @@ pub struct Behaviour<'a> {
 
 impl Rollout {
     /// Environments with so many agents at most, in which no episode runs yet.
-    pub fn new(config: &Config, shape: UtilityShape, agents: usize) -> Self {
+    pub fn new(config: &Config, agents: usize) -> Self {
         let instance = Instance {
             points: DecisionPoints::every(config.allocation.interval),
             decision: false,
@@ -59,7 +60,7 @@ impl Rollout {
         };
         Self {
             instances: vec![instance; config.environment.instances],
-            players: Players::new(config.low_level.conditioning, shape),
+            players: Players::new(config.low_level.conditioning),
         }
     }
 
@@ -121,9 +122,9 @@ impl Rollout {
             let Instance { allocation, last_actions, strategies, seen, .. } =
                 &instances[scene.instance];
             let (world, state) = (scene.instance, scene.state);
-            Scene { world, environment, state, seen, allocation, last_actions, strategies }
+            AllocatedScene { world, environment, state, seen, allocation, last_actions, strategies }
         });
-        let shown: Vec<Scene<'_>> = shown.collect();
+        let shown: Vec<AllocatedScene<'_>> = shown.collect();
         let slots = environment.spec().shape.agents;
         let epsilon = behaviour.exploration.actions;
         actions.fill(0);
@@ -295,7 +296,6 @@ mod tests {
             config.low_level.conditioning = conditioning;
             let WindowLearner { low_level: level, replay, .. } =
                 play(&config, &mut EpisodeCounts::default());
-            let shape = level.online.agents.shape();
             let mut weights = generator(1, Purpose::Weights, 0);
 
             let shaping = Shaping::default();
@@ -304,7 +304,7 @@ mod tests {
             let windows = cut_windows(&*city, &replay, &[0, 1], sample, &mut weights);
             let order = TaskOrder::identity(6);
             let in_windows = agent_utilities(level.players(), &windows, conditioning, &order);
-            let mut players = Players::new(conditioning, shape);
+            let mut players = Players::new(conditioning);
             let mut compared = 0;
             for (world, episode) in replay.episodes().iter().enumerate() {
                 let mut last_actions = vec![NO_ACTION; 5];
@@ -317,7 +317,7 @@ mod tests {
                         }
                         compared += 1;
                     };
-                    let scene = Scene {
+                    let scene = AllocatedScene {
                         world,
                         environment: &*city,
                         state: episode.state(state),

@@ -1,10 +1,9 @@
 //! COPA's coach and recognition network against the reference's modules.
 
 use sortie_methods::alma::agents::{TaskOrder, UtilityInput};
-use sortie_methods::alma::coach::{
-    Coach, CoachPass, CoachShape, Recognition, RecognitionPass, RecognitionShape, gaussian::drawn,
-};
+use sortie_methods::alma::coach::{CoachLayers, CoachShape, RecognitionLayers, RecognitionShape};
 use sortie_methods::alma::windows::low_level::coaching::state_input;
+use sortie_nn::tape::{Places, Tape};
 
 use super::reference;
 use crate::files::{Case, assert_close, json_cases};
@@ -54,20 +53,15 @@ fn coach_and_recognition_agree() {
             .filter(|at| windows.present[at / agents * windows.shape.entities + at % agents])
             .collect();
         assert!((10..samples * agents).contains(&present.len()), "{}", case.name);
-        let check = |name: &str, rows: Vec<f32>| {
+        let check = |name: &str, rows: &[f32]| {
             let all = &case.get(name).data;
             let want = present.iter().flat_map(|at| &all[at * strategy..][..strategy]);
             assert_close(
                 &format!("{} {name}", case.name),
-                &rows,
+                rows,
                 &want.copied().collect::<Vec<_>>(),
             );
         };
-        let half = |rows: &[f32], second: usize| -> Vec<f32> {
-            let rows = rows.chunks(2 * strategy);
-            rows.flat_map(|row| row[second * strategy..][..strategy].to_vec()).collect()
-        };
-
         let coach = parameters(
             &case,
             &["w/coach.entity_encode.weight", "w/coach.task_embed.fc.weight"],
@@ -82,17 +76,18 @@ fn coach_and_recognition_agree() {
                 "w/coach.logvar.bias",
             ],
         );
-        let coach = Coach::from_parameters(shape, coach).expect("all tensors");
+        assert_eq!(coach.len(), shape.parameters());
         let mut input = UtilityInput::default();
         state_input(shape, &windows, &states, &order, false, &mut input);
-        let mut pass = CoachPass::default();
-        let rows = pass.forward(&coach, &input);
-        check("out/mu", half(rows, 0));
-        check("out/logvar", half(rows, 1));
+        let mut tape = Tape::default();
+        let mut pass = tape.begin(&coach);
+        let told = CoachLayers::of(shape, &mut Places::default()).strategies(&mut pass, &input);
+        check("out/mu", pass.values(told.means));
+        check("out/logvar", pass.values(told.log_variances));
         let noise = case.get("in/eps").f32s();
-        let noise = present.iter().map(|at| &noise[at * strategy..][..strategy]);
-        let strategies = rows.chunks(2 * strategy).zip(noise);
-        check("out/z", strategies.flat_map(|(row, noise)| drawn(row, noise)).collect());
+        let noise = present.iter().flat_map(|at| &noise[at * strategy..][..strategy]).copied();
+        let drawn = told.draw(&mut pass, &noise.collect::<Vec<_>>());
+        check("out/z", pass.values(drawn));
 
         let recognition = parameters(
             &case,
@@ -117,11 +112,11 @@ fn coach_and_recognition_agree() {
             ],
         );
         let shape = RecognitionShape { coach: shape, actions };
-        let recognition = Recognition::from_parameters(shape, recognition).expect("all tensors");
+        assert_eq!(recognition.len(), shape.parameters());
         state_input(shape.coach, &windows, &states, &order, true, &mut input);
-        let mut pass = RecognitionPass::default();
-        let rows = pass.forward(&recognition, &input);
-        check("out/recog_mean", half(rows, 0));
-        check("out/recog_logvar", half(rows, 1));
+        let mut pass = tape.begin(&recognition);
+        let guess = RecognitionLayers::of(shape, &mut Places::default()).guess(&mut pass, &input);
+        check("out/recog_mean", pass.values(guess.means));
+        check("out/recog_logvar", pass.values(guess.log_variances));
     }
 }

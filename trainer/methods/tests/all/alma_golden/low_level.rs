@@ -5,11 +5,10 @@ use sortie_learn::random::{Purpose, generator};
 use sortie_methods::alma::agents::{Conditioning, TaskOrder};
 use sortie_methods::alma::teams::Agents;
 use sortie_methods::alma::windows::PopArt;
-use sortie_methods::alma::windows::low_level::HypernetworkPass;
+use sortie_methods::alma::windows::low_level::HypernetworkLayers;
 use sortie_methods::alma::windows::low_level::HypernetworkShape;
 use sortie_methods::alma::windows::low_level::LowLevel;
 use sortie_methods::alma::windows::low_level::LowLevelConfig;
-use sortie_methods::alma::windows::low_level::Merged;
 use sortie_methods::alma::windows::low_level::Mixer;
 use sortie_methods::alma::windows::low_level::MixerShape;
 use sortie_methods::alma::windows::low_level::Mode;
@@ -23,6 +22,7 @@ use sortie_nn::layers::gru::{GruPass, GruShape};
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::softmax;
 use sortie_nn::optimise::RmsProp;
+use sortie_nn::tape::{Places, Tape};
 
 use super::{reference, windows};
 use crate::files::{Case, assert_close, json_cases, json_file, json_tensor, safetensors_case};
@@ -63,11 +63,16 @@ fn hypernetworks_agree() {
         let (input, rows) = team_input(&states, conditioning);
         let shape = hypernetwork_shape(&case, "w/");
         let parameters = reference::hypernetwork(&case, "w/");
-        let merged = Merged::new(shape, mode, &parameters);
-        let mut pass = HypernetworkPass::default();
-        let numbers = pass.forward((shape, mode, agents), &parameters, &merged, &input);
+        let layers = HypernetworkLayers::of(shape, mode, &mut Places::default());
+        let mut tape = Tape::default();
+        let mut pass = tape.begin(&parameters);
+        let merged = layers.merged(&mut pass);
+        let with_merged = [&*parameters, pass.values(merged)].concat();
+        let mut pass = tape.begin(&with_merged);
+        let merged = &mut Places { end: parameters.len() };
+        let numbers = layers.numbers(&mut pass, merged, (&input, agents));
         let width = shape.mixing;
-        let mut numbers = numbers.to_vec();
+        let mut numbers = pass.values(numbers).to_vec();
         if config["nonneg"] == "softmax" {
             // That of scalars was taken over the whole batch, which no network does.
             let row = if mode == Mode::Scalar { numbers.len() } else { width };

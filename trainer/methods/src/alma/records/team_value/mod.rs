@@ -16,10 +16,10 @@ mod loss;
 use sortie_core::allocate::{EXACT_AGENTS, TeamValue, Teams, ascent, exact};
 use sortie_envs::{Environment, Observation, UNASSIGNED, members};
 use sortie_learn::LearnError;
+use sortie_learn::subtasks::Allocate;
 use sortie_nn::random::Generator;
 
 use crate::alma::agents::{UtilityNetwork, UtilityPass, UtilityShape};
-use crate::alma::teams::Allocate;
 
 pub use input::{TeamColumns, TeamQuery, TeamValueInput};
 pub use loss::{Decision, Segment, Segments, TeamValueLoss};
@@ -141,6 +141,18 @@ impl Allocate for TeamValueAllocator<'_> {
     ) -> Result<(), LearnError> {
         self.search.allocate(self.network, environment, state, generator, allocation)
     }
+
+    fn values(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        task: usize,
+        teams: &[u64],
+    ) -> Vec<f32> {
+        let TeamSearch { pass, input, .. } = &mut self.search;
+        let query = |&team| TeamQuery { state, task, team, turn: 0 };
+        pass.forward(self.network, input.queries(environment, teams.iter().map(query))).to_vec()
+    }
 }
 
 #[cfg(test)]
@@ -149,9 +161,9 @@ mod tests {
     use sortie_learn::random::{Purpose, generator};
 
     use super::*;
-    use crate::alma::evaluate::{EvaluationPlan, evaluate};
     use crate::alma::records::config::AllocatorConfig;
-    use crate::alma::teams::ScriptedActors;
+    use sortie_learn::play::evaluate;
+    use sortie_learn::subtasks::{AllocatedTeam, ScriptedAgents};
 
     fn environment(set: &str, instances: usize) -> Box<dyn Environment> {
         let name = format!("save-the-city/{set}");
@@ -235,11 +247,11 @@ mod tests {
     #[test]
     fn an_untrained_allocator_plays_to_the_end() {
         let environment = environment("2-5a_2-5b", 1);
-        let plan = EvaluationPlan::new(&*environment, 20, 3);
         let network = network(&*environment);
         let play = || {
-            let mut allocator = TeamValueAllocator::new(&network, 5);
-            evaluate(&plan, &mut ScriptedActors::new(1), &mut allocator).unwrap()
+            let allocator = Box::new(TeamValueAllocator::new(&network, 5));
+            let mut team = AllocatedTeam::new(Box::new(ScriptedAgents::new(1)), allocator, 5);
+            evaluate(&*environment, &mut team, 20, 3).unwrap()
         };
         let first = play();
         assert_eq!(first.episodes, 20);

@@ -4,10 +4,11 @@ use std::ops::Range;
 
 use sortie_envs::random::below;
 use sortie_nn::random::Generator;
+use sortie_nn::tape::Tape;
 
-use super::critic::{CriticInput, CriticPass};
+use super::critic::CriticInput;
 use super::networks::{AllocationCritic, AllocationPolicy};
-use super::proposals::{Noise, ProposalPass};
+use super::proposals::{Noise, Proposals};
 use super::rows::States;
 
 /// States that are worked on together: enough rows for the matrix products, few enough for the cache.
@@ -79,11 +80,11 @@ pub struct Decided {
 }
 
 /// Decides; the buffers of one thread.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub struct Decider {
-    proposals: ProposalPass,
+    policy_tape: Tape,
+    critic_tape: Tape,
     input: CriticInput,
-    critic: CriticPass,
 }
 
 impl Decider {
@@ -95,26 +96,19 @@ impl Decider {
         columns: &TaskColumns,
         sampling: (usize, Noise<'_>),
     ) -> Decided {
-        let length = states.len() * states.agents;
-        let mut decided = Decided { best: vec![0; length], first: vec![0; length] };
+        let mut decided = Decided::default();
         for block in blocks(0..states.len()) {
-            let start = block.start;
+            let Self { policy_tape, critic_tape, input } = self;
+            let own = (states, block);
             let policy = networks.policy;
-            self.proposals.forward(policy, states, block.clone(), &columns.policy, sampling);
-            push_distinct(
-                &mut self.input,
-                networks.critic,
-                states,
-                block.clone(),
-                (&self.proposals, &columns.critic),
-            );
-            let values = self.critic.forward(networks.critic, &self.input);
-            let best = best_of(&self.proposals, networks.critic, block.len(), values);
+            let proposals = Proposals::draw(policy_tape, policy, own, &columns.policy, sampling);
+            push_distinct(input, networks.critic, states, &proposals, &columns.critic);
+            let mut t = critic_tape.begin(networks.critic.parameters());
+            let values = networks.critic.layers().values(&mut t, input);
+            let best = best_of(&proposals, networks.critic, t.values(values));
             for (local, best) in best.into_iter().enumerate() {
-                let place = (start + local) * states.agents..(start + local + 1) * states.agents;
-                self.proposals.write(best, &mut decided.best[place.clone()]);
-                let first = self.proposals.of_proposal(local, 0);
-                self.proposals.write(first, &mut decided.first[place]);
+                proposals.write(best, &mut decided.best);
+                proposals.write(proposals.of_proposal(local, 0), &mut decided.first);
             }
         }
         decided
@@ -126,19 +120,18 @@ impl Decider {
         policy: &AllocationPolicy,
         states: &States,
         columns: &TaskColumns,
-        (proposals, noise): (usize, Noise<'_>),
+        (count, noise): (usize, Noise<'_>),
     ) -> Proposed {
         let mut proposed = Proposed::default();
         for block in blocks(0..states.len()) {
-            let pass = &mut self.proposals;
-            pass.forward(policy, states, block.clone(), &columns.policy, (proposals, noise));
-            for index in 0..block.len() * proposals {
-                let whole = pass.of_proposal(index / proposals, index % proposals);
-                let start = proposed.allocations.len();
-                proposed.allocations.resize(start + states.agents, 0);
-                pass.write(whole, &mut proposed.allocations[start..]);
-                proposed.log_probabilities.push(pass.log_probability(whole));
-                proposed.entropies.push(pass.entropy_of(whole));
+            let (tape, length) = (&mut self.policy_tape, block.len());
+            let sampling = (count, noise);
+            let own = Proposals::draw(tape, policy, (states, block), &columns.policy, sampling);
+            for index in 0..length * count {
+                let whole = own.of_proposal(index / count, index % count);
+                own.write(whole, &mut proposed.allocations);
+                proposed.log_probabilities.push(own.log_probability(whole));
+                proposed.entropies.push(own.entropy_of(whole));
             }
         }
         proposed
@@ -152,19 +145,21 @@ impl Decider {
         columns: &TaskColumns,
         allocations: &[u8],
     ) -> Vec<f32> {
+        let Self { critic_tape, input, .. } = self;
         let per_state = allocations.len() / states.len().max(1);
         let mut values = Vec::new();
         for block in blocks(0..states.len()) {
-            self.input.clear();
+            input.clear();
             for state in block {
-                self.input.begin_state(states);
+                input.begin_state(states);
                 let own = &allocations[state * per_state..][..per_state];
                 for allocation in own.chunks_exact(states.agents) {
-                    let columns = &columns.critic;
-                    self.input.push(critic.shape(), states, state, allocation, columns);
+                    input.push(critic.shape(), states, state, allocation, &columns.critic);
                 }
             }
-            values.extend_from_slice(self.critic.forward(critic, &self.input));
+            let mut t = critic_tape.begin(critic.parameters());
+            let own = critic.layers().values(&mut t, input);
+            values.extend_from_slice(t.values(own));
         }
         values
     }
@@ -181,14 +176,15 @@ pub(super) fn push_distinct(
     input: &mut CriticInput,
     critic: &AllocationCritic,
     states: &States,
-    block: Range<usize>,
-    (proposals, columns): (&ProposalPass, &[u8]),
+    proposals: &Proposals<'_>,
+    columns: &[u8],
 ) {
-    let mut allocation = vec![0; states.agents];
+    let mut allocation = Vec::with_capacity(states.agents);
     input.clear();
-    for (local, state) in block.enumerate() {
+    for (local, state) in proposals.block.states.clone().enumerate() {
         input.begin_state(states);
         for whole in proposals.distinct(local) {
+            allocation.clear();
             proposals.write(whole, &mut allocation);
             input.push(critic.shape(), states, state, &allocation, columns);
         }
@@ -198,23 +194,21 @@ pub(super) fn push_distinct(
 /// The first of the best allocations of every state of a block, to whose distinct ones the critic gave
 /// these values, before PopArt's head.
 pub(super) fn best_of(
-    proposals: &ProposalPass,
+    proposals: &Proposals<'_>,
     critic: &AllocationCritic,
-    states: usize,
     values: &[f32],
 ) -> Vec<u32> {
     let rises = critic.rises();
     let mut merits = values.iter().map(|raw| rises * raw);
     let best = |local| {
-        let mut best = (0, f32::NEG_INFINITY);
-        let mut first = None;
-        for (whole, merit) in proposals.distinct(local).zip(&mut merits) {
-            first = first.or(Some(whole));
+        let all = proposals.distinct(local);
+        let mut best = (all.start, f32::NEG_INFINITY);
+        for (whole, merit) in all.zip(&mut merits) {
             if merit > best.1 {
                 best = (whole, merit);
             }
         }
-        if best.1 > f32::NEG_INFINITY { best.0 } else { first.unwrap_or(0) }
+        best.0
     };
-    (0..states).map(best).collect()
+    (0..proposals.block.len()).map(best).collect()
 }

@@ -2,10 +2,12 @@
 
 use std::ops::Range;
 
-use super::critic::{CriticInput, CriticPass};
+use sortie_nn::tape::Tape;
+
+use super::critic::CriticInput;
 use super::decide::{AllocationNetworks, best_of, blocks, push_distinct};
 use super::networks::AllocationCritic;
-use super::proposals::ProposalPass;
+use super::proposals::Proposals;
 use super::rows::Rows;
 use super::{AllocationLearning, StepDraws};
 use crate::alma::windows::{AllocationTimes, Stopwatch};
@@ -43,21 +45,12 @@ impl Loss {
     }
 }
 
-/// The last linear map of the critic: its weight and bias.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Heads {
-    /// The head whose outputs are compared with the targets.
-    pub(super) compared: (f32, f32),
-    /// The head through which the gradient goes.
-    pub(super) gradient: (f32, f32),
-}
-
 /// Buffers of one lane and its results.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(super) struct Lane {
-    proposals: ProposalPass,
+    policy_tape: Tape,
+    critic_tape: Tape,
     input: CriticInput,
-    critic: CriticPass,
     /// `[rows, A]`: the best proposals.
     pub(super) best: Vec<u8>,
     /// What the target critic says of them, in real units.
@@ -70,9 +63,17 @@ pub(super) struct Lane {
     pub(super) surprise: f64,
     /// Sum of the entropies of all proposals.
     pub(super) entropy: f64,
-    operations: u64,
+    /// Floating-point operations of the step.
+    pub(super) operations: u64,
     /// Of all steps.
     pub(super) times: AllocationTimes,
+}
+
+impl Clone for Lane {
+    /// A lane of its own: what lanes hold is forgotten in the next step.
+    fn clone(&self) -> Self {
+        Self::default()
+    }
 }
 
 impl Lane {
@@ -87,99 +88,96 @@ impl Lane {
         learning: &AllocationLearning,
     ) {
         let states = &rows.states;
+        let AllocationNetworks { policy, critic } = networks;
         self.best.clear();
         self.values.clear();
-        zero(&mut self.policy_gradient, networks.policy.parameters().len());
-        (self.surprise, self.entropy) = (0.0, 0.0);
+        zero(&mut self.policy_gradient, policy.parameters().len());
+        (self.surprise, self.entropy, self.operations) = (0.0, 0.0, 0);
         let entropy_weight = (learning.entropy / loss.proposals) as f32;
         let mut watch = Stopwatch::start();
         for block in blocks(range) {
-            let pass = &mut self.proposals;
+            let Self { policy_tape, critic_tape, input, .. } = self;
             let sampling = (learning.proposals, draws.noise);
+            let own = (states, block.clone());
             let columns = &draws.proposals;
-            pass.forward(networks.policy, states, block.clone(), &columns.policy, sampling);
+            let mut proposals =
+                Proposals::draw(policy_tape, policy, own, &columns.policy, sampling);
             self.times.proposals += watch.lap();
-            let valued = (&*pass, columns.critic.as_slice());
-            push_distinct(&mut self.input, networks.critic, states, block.clone(), valued);
-            let values = self.critic.forward(networks.critic, &self.input);
+            push_distinct(input, critic, states, &proposals, &columns.critic);
+            let mut t = critic_tape.begin(critic.parameters());
+            let values = critic.layers().values(&mut t, input);
+            let found = best_of(&proposals, critic, t.values(values));
+            self.operations += t.operations(false);
 
             let mut best = Vec::with_capacity(block.len());
-            let found = best_of(pass, networks.critic, block.len(), values);
             for (whole, row) in found.into_iter().zip(block.clone()) {
-                let start = self.best.len();
-                self.best.resize(start + states.agents, 0);
-                pass.write(whole, &mut self.best[start..]);
-                self.surprise -= loss.policy[row] * f64::from(pass.log_probability(whole));
+                proposals.write(whole, &mut self.best);
+                self.surprise -= loss.policy[row] * f64::from(proposals.log_probability(whole));
                 best.push((whole, loss.policy[row] as f32));
             }
-            self.entropy += pass.entropy();
+            self.entropy += proposals.entropy();
             self.times.critic += watch.lap();
-            pass.backward(networks.policy, &best, entropy_weight, &mut self.policy_gradient);
+            proposals.descend(&best, entropy_weight, &mut self.policy_gradient);
+            self.operations += proposals.t.operations(true);
             self.times.policy += watch.lap();
 
-            self.input.clear();
+            input.clear();
             let first = self.best.len() - block.len() * states.agents;
             let allocations = self.best[first..].chunks_exact(states.agents);
             for (row, allocation) in block.zip(allocations) {
-                self.input.begin_state(states);
-                self.input.push(target.shape(), states, row, allocation, &draws.target);
+                input.begin_state(states);
+                input.push(target.shape(), states, row, allocation, &draws.target);
             }
-            let values = self.critic.forward(target, &self.input);
-            self.values.extend(values.iter().map(|raw| target.real(*raw)));
+            let mut t = critic_tape.begin(target.parameters());
+            let values = target.layers().values(&mut t, input);
+            self.values.extend(t.values(values).iter().map(|raw| target.real(*raw)));
+            self.operations += t.operations(false);
             self.times.critic += watch.lap();
         }
     }
 
-    /// Compares the critic with normalised targets, and computes its gradient; `columns [T]` are its task
-    /// columns.
+    /// Compares the critic, whose outputs go through the head `compared`, with normalised targets, and computes its
+    /// gradient; `columns [T]` are its task columns.
     pub(super) fn value(
         &mut self,
-        critic: &AllocationCritic,
+        (critic, compared): (&AllocationCritic, [f32; 2]),
         (rows, range): (&Rows, Range<usize>),
         loss: &Loss,
         (targets, columns): (&[f64], &[u8]),
-        heads: Heads,
     ) {
         let mut watch = Stopwatch::start();
-        let states = &rows.states;
+        let (states, layers) = (&rows.states, critic.layers());
         zero(&mut self.critic_gradient, critic.parameters().len());
         self.squared_error = 0.0;
-        let (mut d_weight, mut d_bias) = (0.0, 0.0);
         for block in blocks(range) {
             // What does not count has no gradient either.
             let counts = |row: &usize| loss.critic.get(*row).is_some_and(|weight| *weight > 0.0);
             let counting: Vec<usize> = block.filter(counts).collect();
+            if counting.is_empty() {
+                continue;
+            }
             self.input.clear();
             for row in &counting {
                 self.input.begin_state(states);
                 let allocation = states.allocation(*row);
                 self.input.push(critic.shape(), states, *row, allocation, columns);
             }
-            let raw = self.critic.forward(critic, &self.input);
+            let mut t = self.critic_tape.begin(critic.parameters());
+            let raw = layers.values(&mut t, &self.input);
             let mut slopes = Vec::with_capacity(counting.len());
-            for (row, raw) in counting.iter().zip(raw) {
+            for (row, raw) in counting.iter().zip(t.values(raw)) {
                 let weight = loss.critic[*row];
-                let normalised = heads.compared.0 * raw + heads.compared.1;
+                let normalised = compared[0] * raw + compared[1];
                 let error = weight * (f64::from(normalised) - targets[*row]);
                 self.squared_error += error * error;
-                let slope = 2.0 * weight * error / loss.critic_total;
-                d_weight += slope * f64::from(*raw);
-                d_bias += slope;
-                slopes.push(slope as f32 * heads.gradient.0);
+                slopes.push((2.0 * weight * error / loss.critic_total) as f32);
             }
-            self.critic.backward(critic, &self.input, &slopes, &mut self.critic_gradient);
+            let values = layers.head(&mut t, raw);
+            let loss = t.weighted_sum(values, &slopes);
+            t.backward(loss, &mut self.critic_gradient);
+            self.operations += t.operations(true);
         }
-        let gradient = AllocationCritic::parts_of(critic.shape(), &mut self.critic_gradient);
-        gradient.popart_weight[0] = d_weight as f32;
-        gradient.popart_bias[0] = d_bias as f32;
         self.times.critic += watch.lap();
-    }
-
-    /// Floating-point operations since the last call.
-    pub(super) fn take_operations(&mut self) -> u64 {
-        let before = self.operations;
-        self.operations = self.proposals.operations() + self.critic.operations;
-        self.operations - before
     }
 }
 

@@ -13,7 +13,7 @@ use sortie_nn::optimise::{RmsProp, clip_norm};
 use sortie_nn::random::Generator;
 
 use super::decide::AllocationNetworks;
-use super::lane::{Heads, Lane, Loss};
+use super::lane::{Lane, Loss};
 use super::networks::{AllocationCritic, AllocationPolicy};
 use super::rows::Rows;
 use super::{AllocationLearning, StepDraws};
@@ -248,12 +248,11 @@ impl AllocationLevel {
 
         let after = self.critic.head();
         let compared = if self.learning.as_public_code { before } else { after };
-        let heads = Heads { compared, gradient: after };
         let (critic, targets) = (&self.critic, &self.last.normalised);
         self.optimiser_time += watch.lap();
         in_lanes(threads, &mut self.lanes, |index, lane| {
             let range = lane_range(count, index);
-            lane.value(critic, (rows, range), loss, (targets, &draws.stored), heads);
+            lane.value((critic, compared), (rows, range), loss, (targets, &draws.stored));
         });
         self.descend(rows, loss)
     }
@@ -279,7 +278,7 @@ impl AllocationLevel {
             entropy: sum(|lane| lane.entropy) / loss.proposals,
             critic_norm,
             policy_norm,
-            operations: self.lanes.iter_mut().map(Lane::take_operations).sum(),
+            operations: self.lanes.iter().map(|lane| lane.operations).sum(),
         }
     }
 

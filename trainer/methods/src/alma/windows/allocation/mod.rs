@@ -3,18 +3,17 @@
 //! A critic values allocations of agents to subtasks; a policy proposes some, of which the critic takes
 //! the best.
 
+mod block;
 mod critic;
 mod decide;
-mod gathers;
 mod lane;
 mod level;
 mod networks;
 mod proposals;
 mod rows;
-mod teams;
 #[cfg(test)]
 mod tests;
-mod trunk;
+mod tree;
 
 use rand_core::Rng;
 use sortie_nn::random::Generator;

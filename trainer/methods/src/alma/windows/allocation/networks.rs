@@ -1,129 +1,103 @@
-//! The allocation networks: their sizes and all parameters in one flat vector each.
+//! The allocation networks: all parameters in one flat vector each, and their layers on a tape.
 //!
 //! Features, task and counts of an entity meet in one sum, so they are rows of one embedding here. It is
 //! stored `[in, E]` because its inputs are sparse; all other matrices are `[out, in]`.
 
-use std::ops::Range;
+use sortie_nn::random::Generator;
+use sortie_nn::tape::{Linear, Pass, Places, Var};
 
-use sortie_nn::layers::attention::AttentionShape;
-use sortie_nn::layers::linear::LinearShape;
-use sortie_nn::random::{Generator, signed_unit};
-
+use super::critic::CriticInput;
 use super::{AllocationShape, CriticWeights, PolicyWeights};
-use crate::alma::agents::transpose;
+use crate::alma::agents::{drawn, transpose};
 use crate::alma::windows::popart::PopArt;
 
 /// What counts of agents and of other entities are multiplied by.
 pub(super) const COUNT_SCALE: f32 = 0.2;
 
-impl AllocationShape {
-    pub(super) fn attention(self) -> AttentionShape {
-        AttentionShape { width: self.width, heads: self.heads }
-    }
+/// Numbers of every tensor in the order of the flat vector, and the inputs of its layer.
+pub(super) type Tensors<const COUNT: usize> = [(usize, usize); COUNT];
 
-    /// A layer from width to width.
-    pub(super) fn square(self) -> LinearShape {
-        LinearShape { input: self.width, output: self.width }
-    }
-
-    pub(super) fn keys_values(self) -> LinearShape {
-        LinearShape { input: self.width, output: 2 * self.width }
-    }
-}
-
-/// The critic's tensors: their values, places or gradients.
-#[derive(Clone, Debug)]
-pub(super) struct CriticParts<P> {
+/// The layers of a critic, in the order of its parameters.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CriticLayers {
+    heads: usize,
     /// `[d + T + 3, E]`: features; task columns; the counts of agents and of other entities and 1, these
     /// three times [`COUNT_SCALE`].
-    pub(super) embedding: P,
-    pub(super) embedding_bias: P,
-    pub(super) queries: P,
-    /// `[2 E, E]`
-    pub(super) keys_values: P,
-    pub(super) out: P,
-    pub(super) out_bias: P,
-    /// `[E]`
-    pub(super) value: P,
-    pub(super) value_bias: P,
-    pub(super) popart_weight: P,
-    pub(super) popart_bias: P,
+    embedding: Linear,
+    queries: Linear,
+    keys_values: Linear,
+    out: Linear,
+    value: Linear,
+    /// That of PopArt.
+    head: Linear,
 }
 
-impl<P> CriticParts<P> {
-    /// Takes tensor after tensor, each of so many numbers, in the order of the flat vector.
-    fn take(shape: AllocationShape, mut next: impl FnMut(usize) -> P) -> Self {
-        let AllocationShape { features, columns, width, .. } = shape;
+impl CriticLayers {
+    pub(super) fn of(shape: AllocationShape, places: &mut Places) -> Self {
+        let AllocationShape { features, columns, width, heads } = shape;
         Self {
-            embedding: next((features + columns + 3) * width),
-            embedding_bias: next(width),
-            queries: next(width * width),
-            keys_values: next(2 * width * width),
-            out: next(width * width),
-            out_bias: next(width),
-            value: next(width),
-            value_bias: next(1),
-            popart_weight: next(1),
-            popart_bias: next(1),
+            heads,
+            embedding: places.linear(features + columns + 3, width),
+            queries: places.projection(width, width),
+            keys_values: places.projection(width, 2 * width),
+            out: places.linear(width, width),
+            value: places.linear(width, 1),
+            head: places.linear(1, 1),
         }
+    }
+
+    /// The value of every allocation, `[allocations, 1]`, before the head of PopArt.
+    pub(super) fn values(self, t: &mut Pass<'_>, input: &CriticInput) -> Var {
+        let entities = t.sparse_linear_rectified(&input.rows, self.embedding);
+        // What an agent asks in one allocation it asks in all that share its row.
+        let agents = t.gather(entities, &input.agent_rows);
+        let queries = t.linear(agents, self.queries);
+        let queries = t.gather(queries, &input.query_agents);
+        let keys_values = t.linear(entities, self.keys_values);
+        let attended = t.attention(queries, keys_values, &input.visible, self.heads);
+        let seen = t.linear_rectified(attended, self.out);
+        let sums = t.scatter(seen, &input.allocation_of, input.allocations);
+        let pooled = t.scale(sums, 1.0 / input.slots as f32);
+        t.linear(pooled, self.value)
+    }
+
+    /// Values in normalised units.
+    pub(super) fn head(self, t: &mut Pass<'_>, values: Var) -> Var {
+        t.linear(values, self.head)
     }
 }
 
-/// The policy's tensors: their values, places or gradients.
-#[derive(Clone, Debug)]
-pub(super) struct PolicyParts<P> {
+/// The layers of a policy, in the order of its parameters.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PolicyLayers {
+    pub(super) heads: usize,
     /// `[d + T, E]`: features; task columns.
-    pub(super) embedding: P,
-    pub(super) embedding_bias: P,
-    pub(super) queries: P,
-    /// `[2 E, E]`
-    pub(super) keys_values: P,
-    pub(super) out: P,
-    pub(super) out_bias: P,
+    pub(super) embedding: Linear,
+    pub(super) queries: Linear,
+    pub(super) keys_values: Linear,
+    pub(super) out: Linear,
     /// `[3, E]`: other entities, agents, 1; only the counts are times [`COUNT_SCALE`].
-    pub(super) count: P,
+    pub(super) count: usize,
     /// The half of the update that sees the task.
-    pub(super) update_task: P,
+    pub(super) update_task: Linear,
     /// The half of the update that sees the agent.
-    pub(super) update_agent: P,
-    pub(super) update_bias: P,
+    pub(super) update_agent: Linear,
 }
 
-impl<P> PolicyParts<P> {
-    fn take(shape: AllocationShape, mut next: impl FnMut(usize) -> P) -> Self {
-        let AllocationShape { features, columns, width, .. } = shape;
+impl PolicyLayers {
+    pub(super) fn of(shape: AllocationShape, places: &mut Places) -> Self {
+        let AllocationShape { features, columns, width, heads } = shape;
         Self {
-            embedding: next((features + columns) * width),
-            embedding_bias: next(width),
-            queries: next(width * width),
-            keys_values: next(2 * width * width),
-            out: next(width * width),
-            out_bias: next(width),
-            count: next(3 * width),
-            update_task: next(width * width),
-            update_agent: next(width * width),
-            update_bias: next(width),
+            heads,
+            embedding: places.linear(features + columns, width),
+            queries: places.projection(width, width),
+            keys_values: places.projection(width, 2 * width),
+            out: places.linear(width, width),
+            count: places.numbers(3 * width),
+            update_task: places.projection(width, width),
+            update_agent: places.linear(width, width),
         }
     }
-}
-
-/// Hands out ranges, one behind the other.
-fn ranges() -> impl FnMut(usize) -> Range<usize> {
-    let mut start = 0;
-    move |length| {
-        start += length;
-        start - length..start
-    }
-}
-
-/// Hands out pieces of a slice.
-fn pieces<'a>(mut rest: &'a [f32]) -> impl FnMut(usize) -> &'a [f32] {
-    move |length| rest.split_off(..length).expect("as many parameters as the shape has")
-}
-
-/// Hands out pieces of a slice to be changed.
-fn pieces_mut<'a>(mut rest: &'a mut [f32]) -> impl FnMut(usize) -> &'a mut [f32] {
-    move |length| rest.split_off_mut(..length).expect("as many parameters as the shape has")
 }
 
 /// The critic `Q(s, b)` of allocations.
@@ -136,32 +110,38 @@ pub struct AllocationCritic {
 }
 
 impl AllocationCritic {
+    /// Features, task columns, counts and their bias, bias of the features; queries, keys and values; the projection
+    /// behind the attention; the value; the head of PopArt.
+    pub(super) fn tensors(shape: AllocationShape) -> Tensors<12> {
+        let AllocationShape { features, columns, width, .. } = shape;
+        let square = width * width;
+        [
+            (features * width, features),
+            (columns * width, columns),
+            (2 * width, 2),
+            (width, 2),
+            (width, features),
+            (3 * square, width),
+            (square, width),
+            (width, width),
+            (width, width),
+            (1, width),
+            (1, 1),
+            (1, 1),
+        ]
+    }
+
     /// Number of parameters of a shape.
     pub fn count(shape: AllocationShape) -> usize {
-        Self::places(shape).popart_bias.end
+        count(Self::tensors(shape))
     }
 
     /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does; the head of
     /// PopArt begins as the identity.
     pub fn initialise(shape: AllocationShape, generator: &mut Generator) -> Self {
-        let AllocationShape { features, columns, width, .. } = shape;
-        let mut parameters = vec![0.0; Self::count(shape)];
-        let parts = CriticParts::take(shape, pieces_mut(&mut parameters));
-        draw_embedding(shape, parts.embedding, parts.embedding_bias, generator);
-        let counts = &mut parameters[(features + columns) * width..][..3 * width];
-        draw(counts, 2, generator);
-        let parts = CriticParts::take(shape, pieces_mut(&mut parameters));
-        for tensor in [
-            parts.queries,
-            parts.keys_values,
-            parts.out,
-            parts.out_bias,
-            parts.value,
-            parts.value_bias,
-        ] {
-            draw(tensor, width, generator);
-        }
-        parts.popart_weight.fill(1.0);
+        let mut parameters = drawn(Self::tensors(shape), generator);
+        let head = parameters.len() - 2;
+        parameters[head..].copy_from_slice(&[1.0, 0.0]);
         Self { shape, parameters, popart: PopArt::default() }
     }
 
@@ -179,53 +159,55 @@ impl AllocationCritic {
     pub fn from_weights(weights: &CriticWeights) -> Option<Self> {
         let shape = weights.shape;
         let AllocationShape { features, columns, width, .. } = shape;
-        let counts = transposed(&weights.count_weight, width, 2)?;
-        let embedding = [
+        let parts = [
             transposed(&weights.entity_weight, width, features)?,
             transposed(&weights.task_weight, width, columns)?,
-            counts,
+            transposed(&weights.count_weight, width, 2)?,
             weights.count_bias.clone(),
-        ]
-        .concat();
-        let (queries, keys_values) = weights.attention_in_weight.split_at_checked(width * width)?;
-        let mut parameters = vec![0.0; Self::count(shape)];
-        let parts = CriticParts::take(shape, pieces_mut(&mut parameters));
-        fill(parts.embedding, &embedding)?;
-        fill(parts.embedding_bias, &weights.entity_bias)?;
-        fill(parts.queries, queries)?;
-        fill(parts.keys_values, keys_values)?;
-        fill(parts.out, &weights.attention_out_weight)?;
-        fill(parts.out_bias, &weights.attention_out_bias)?;
-        fill(parts.value, &weights.value_weight)?;
-        fill(parts.value_bias, &weights.value_bias)?;
-        parts.popart_weight[0] = weights.popart_weight;
-        parts.popart_bias[0] = weights.popart_bias;
+            weights.entity_bias.clone(),
+            weights.attention_in_weight.clone(),
+            weights.attention_out_weight.clone(),
+            weights.attention_out_bias.clone(),
+            weights.value_weight.clone(),
+            weights.value_bias.clone(),
+            vec![weights.popart_weight],
+            vec![weights.popart_bias],
+        ];
         let (mean, deviation) = (f64::from(weights.mean), f64::from(weights.deviation));
         let popart = PopArt { mean, variance: deviation * deviation, started: true };
-        Some(Self { shape, parameters, popart })
+        Some(Self { shape, parameters: joined(parts, Self::tensors(shape))?, popart })
     }
 
     /// The tensors with the layouts of the public code.
     pub fn weights(&self) -> CriticWeights {
         let AllocationShape { features, columns, width, .. } = self.shape;
-        let parts = self.parts();
-        let (entity, rest) = parts.embedding.split_at(features * width);
-        let (task, rest) = rest.split_at(columns * width);
-        let (count, count_bias) = rest.split_at(2 * width);
+        let [
+            entity,
+            task,
+            counts,
+            count_bias,
+            entity_bias,
+            attention_in,
+            out,
+            out_bias,
+            value,
+            rest @ ..,
+        ] = parts(&self.parameters, Self::tensors(self.shape));
+        let [value_bias, popart_weight, popart_bias] = rest;
         CriticWeights {
             shape: self.shape,
             entity_weight: transpose(entity, features, width),
-            entity_bias: parts.embedding_bias.to_vec(),
+            entity_bias: entity_bias.to_vec(),
             task_weight: transpose(task, columns, width),
-            count_weight: transpose(count, 2, width),
+            count_weight: transpose(counts, 2, width),
             count_bias: count_bias.to_vec(),
-            attention_in_weight: [parts.queries, parts.keys_values].concat(),
-            attention_out_weight: parts.out.to_vec(),
-            attention_out_bias: parts.out_bias.to_vec(),
-            value_weight: parts.value.to_vec(),
-            value_bias: parts.value_bias.to_vec(),
-            popart_weight: parts.popart_weight[0],
-            popart_bias: parts.popart_bias[0],
+            attention_in_weight: attention_in.to_vec(),
+            attention_out_weight: out.to_vec(),
+            attention_out_bias: out_bias.to_vec(),
+            value_weight: value.to_vec(),
+            value_bias: value_bias.to_vec(),
+            popart_weight: popart_weight[0],
+            popart_bias: popart_bias[0],
             mean: self.popart.mean as f32,
             deviation: self.popart.variance.sqrt() as f32,
         }
@@ -246,9 +228,13 @@ impl AllocationCritic {
         &mut self.parameters
     }
 
+    pub(super) fn layers(&self) -> CriticLayers {
+        CriticLayers::of(self.shape, &mut Places::default())
+    }
+
     /// The value of an output of the network before its PopArt head, in real units.
     pub fn real(&self, raw: f32) -> f64 {
-        let (weight, bias) = self.head();
+        let [weight, bias] = self.head();
         self.popart.denormalise(f64::from(weight * raw + bias))
     }
 
@@ -256,34 +242,20 @@ impl AllocationCritic {
     ///
     /// Nothing keeps the learned weight of the head positive, and deployment ranks what comes behind it.
     pub(super) fn rises(&self) -> f32 {
-        let (weight, _) = self.head();
+        let [weight, _] = self.head();
         f32::from(i8::from(weight > 0.0) - i8::from(weight < 0.0))
     }
 
     /// Weight and bias of the PopArt head.
-    pub(super) fn head(&self) -> (f32, f32) {
-        let parts = self.parts();
-        (parts.popart_weight[0], parts.popart_bias[0])
+    pub(super) fn head(&self) -> [f32; 2] {
+        let head = self.parameters.len() - 2;
+        [self.parameters[head], self.parameters[head + 1]]
     }
 
     /// Weight and bias of the PopArt head, to be changed.
     pub(super) fn head_mut(&mut self) -> (&mut [f32], &mut [f32]) {
-        let parts = Self::parts_of(self.shape, &mut self.parameters);
-        (parts.popart_weight, parts.popart_bias)
-    }
-
-    /// Where every tensor stands in the flat vector.
-    pub(super) fn places(shape: AllocationShape) -> CriticParts<Range<usize>> {
-        CriticParts::take(shape, ranges())
-    }
-
-    pub(super) fn parts(&self) -> CriticParts<&[f32]> {
-        CriticParts::take(self.shape, pieces(&self.parameters))
-    }
-
-    /// Gradients or values of the same sizes.
-    pub(super) fn parts_of(shape: AllocationShape, flat: &mut [f32]) -> CriticParts<&mut [f32]> {
-        CriticParts::take(shape, pieces_mut(flat))
+        let head = self.parameters.len() - 2;
+        self.parameters[head..].split_at_mut(1)
     }
 }
 
@@ -295,30 +267,34 @@ pub struct AllocationPolicy {
 }
 
 impl AllocationPolicy {
+    /// Features, task columns and the bias of the features; queries, keys and values; the projection behind the attention;
+    /// counts and their bias; both halves of the update and its bias.
+    pub(super) fn tensors(shape: AllocationShape) -> Tensors<11> {
+        let AllocationShape { features, columns, width, .. } = shape;
+        let square = width * width;
+        [
+            (features * width, features),
+            (columns * width, columns),
+            (width, features),
+            (3 * square, width),
+            (square, width),
+            (width, width),
+            (2 * width, 2),
+            (width, 2),
+            (square, 2 * width),
+            (square, 2 * width),
+            (width, 2 * width),
+        ]
+    }
+
     /// Number of parameters of a shape.
     pub fn count(shape: AllocationShape) -> usize {
-        Self::places(shape).update_bias.end
+        count(Self::tensors(shape))
     }
 
     /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
     pub fn initialise(shape: AllocationShape, generator: &mut Generator) -> Self {
-        let width = shape.width;
-        let mut parameters = vec![0.0; Self::count(shape)];
-        let parts = Self::parts_of(shape, &mut parameters);
-        draw_embedding(shape, parts.embedding, parts.embedding_bias, generator);
-        for (tensor, inputs) in [
-            (parts.queries, width),
-            (parts.keys_values, width),
-            (parts.out, width),
-            (parts.out_bias, width),
-            (parts.count, 2),
-            (parts.update_task, 2 * width),
-            (parts.update_agent, 2 * width),
-            (parts.update_bias, 2 * width),
-        ] {
-            draw(tensor, inputs, generator);
-        }
-        Self { shape, parameters }
+        Self { shape, parameters: drawn(Self::tensors(shape), generator) }
     }
 
     /// A policy with these parameters, or `None` where their number does not fit the shape.
@@ -330,50 +306,46 @@ impl AllocationPolicy {
     pub fn from_weights(weights: &PolicyWeights) -> Option<Self> {
         let shape = weights.shape;
         let AllocationShape { features, columns, width, .. } = shape;
-        let embedding = [
+        // Of every row of the update, the task's half stands before the agent's.
+        let half = |second: usize| -> Vec<f32> {
+            let rows = weights.update_weight.chunks(width).skip(second).step_by(2);
+            rows.flatten().copied().collect()
+        };
+        let parts = [
             transposed(&weights.entity_weight, width, features)?,
             transposed(&weights.task_weight, width, columns)?,
-        ]
-        .concat();
-        let count = [transposed(&weights.count_weight, width, 2)?, weights.count_bias.clone()];
-        let (queries, keys_values) = weights.attention_in_weight.split_at_checked(width * width)?;
-        // Transposed, the half of the task stands before the half of the agent.
-        let update = transposed(&weights.update_weight, width, 2 * width)?;
-        let (update_task, update_agent) = update.split_at(width * width);
-        let mut parameters = vec![0.0; Self::count(shape)];
-        let parts = Self::parts_of(shape, &mut parameters);
-        fill(parts.embedding, &embedding)?;
-        fill(parts.embedding_bias, &weights.entity_bias)?;
-        fill(parts.queries, queries)?;
-        fill(parts.keys_values, keys_values)?;
-        fill(parts.out, &weights.attention_out_weight)?;
-        fill(parts.out_bias, &weights.attention_out_bias)?;
-        fill(parts.count, &count.concat())?;
-        fill(parts.update_task, &transpose(update_task, width, width))?;
-        fill(parts.update_agent, &transpose(update_agent, width, width))?;
-        fill(parts.update_bias, &weights.update_bias)?;
-        Some(Self { shape, parameters })
+            weights.entity_bias.clone(),
+            weights.attention_in_weight.clone(),
+            weights.attention_out_weight.clone(),
+            weights.attention_out_bias.clone(),
+            transposed(&weights.count_weight, width, 2)?,
+            weights.count_bias.clone(),
+            half(0),
+            half(1),
+            weights.update_bias.clone(),
+        ];
+        Some(Self { shape, parameters: joined(parts, Self::tensors(shape))? })
     }
 
     /// The tensors with the layouts of the public code.
     pub fn weights(&self) -> PolicyWeights {
         let AllocationShape { features, columns, width, .. } = self.shape;
-        let parts = self.parts();
-        let (entity, task) = parts.embedding.split_at(features * width);
-        let (count, count_bias) = parts.count.split_at(2 * width);
-        let halves = parts.update_task.chunks(width).zip(parts.update_agent.chunks(width));
+        let [entity, task, entity_bias, attention_in, out, out_bias, counts, count_bias, rest @ ..] =
+            parts(&self.parameters, Self::tensors(self.shape));
+        let [update_task, update_agent, update_bias] = rest;
+        let halves = update_task.chunks(width).zip(update_agent.chunks(width));
         PolicyWeights {
             shape: self.shape,
             entity_weight: transpose(entity, features, width),
-            entity_bias: parts.embedding_bias.to_vec(),
+            entity_bias: entity_bias.to_vec(),
             task_weight: transpose(task, columns, width),
-            attention_in_weight: [parts.queries, parts.keys_values].concat(),
-            attention_out_weight: parts.out.to_vec(),
-            attention_out_bias: parts.out_bias.to_vec(),
-            count_weight: transpose(count, 2, width),
+            attention_in_weight: attention_in.to_vec(),
+            attention_out_weight: out.to_vec(),
+            attention_out_bias: out_bias.to_vec(),
+            count_weight: transpose(counts, 2, width),
             count_bias: count_bias.to_vec(),
             update_weight: halves.flat_map(|(task, agent)| [task, agent].concat()).collect(),
-            update_bias: parts.update_bias.to_vec(),
+            update_bias: update_bias.to_vec(),
         }
     }
 
@@ -392,43 +364,29 @@ impl AllocationPolicy {
         &mut self.parameters
     }
 
-    /// Where every tensor stands in the flat vector.
-    pub(super) fn places(shape: AllocationShape) -> PolicyParts<Range<usize>> {
-        PolicyParts::take(shape, ranges())
-    }
-
-    pub(super) fn parts(&self) -> PolicyParts<&[f32]> {
-        PolicyParts::take(self.shape, pieces(&self.parameters))
-    }
-
-    /// Gradients or values of the same sizes.
-    pub(super) fn parts_of(shape: AllocationShape, flat: &mut [f32]) -> PolicyParts<&mut [f32]> {
-        PolicyParts::take(shape, pieces_mut(flat))
+    pub(super) fn layers(&self) -> PolicyLayers {
+        PolicyLayers::of(self.shape, &mut Places::default())
     }
 }
 
-/// Draws the rows of features and task columns, and the bias of the features.
-fn draw_embedding(
-    shape: AllocationShape,
-    embedding: &mut [f32],
-    bias: &mut [f32],
-    generator: &mut Generator,
-) {
-    let AllocationShape { features, columns, width, .. } = shape;
-    let (entity, rest) = embedding.split_at_mut(features * width);
-    draw(entity, features, generator);
-    draw(bias, features, generator);
-    draw(&mut rest[..columns * width], columns, generator);
+fn count<const COUNT: usize>(tensors: Tensors<COUNT>) -> usize {
+    tensors.iter().map(|(length, _)| length).sum()
 }
 
-fn draw(tensor: &mut [f32], inputs: usize, generator: &mut Generator) {
-    let bound = 1.0 / (inputs as f32).sqrt();
-    tensor.iter_mut().for_each(|value| *value = bound * signed_unit(generator));
+/// Puts tensors behind each other, or gives `None` where one has another length.
+fn joined<const COUNT: usize>(
+    parts: [Vec<f32>; COUNT],
+    tensors: Tensors<COUNT>,
+) -> Option<Vec<f32>> {
+    let fits = parts.iter().zip(tensors).all(|(part, (length, _))| part.len() == length);
+    fits.then(|| parts.concat())
 }
 
-/// Fills a tensor, or gives `None` where the lengths differ.
-fn fill(tensor: &mut [f32], values: &[f32]) -> Option<()> {
-    (tensor.len() == values.len()).then(|| tensor.copy_from_slice(values))
+/// The tensors of a flat vector.
+fn parts<const COUNT: usize>(parameters: &[f32], tensors: Tensors<COUNT>) -> [&[f32]; COUNT] {
+    let mut rest = parameters;
+    tensors
+        .map(|(length, _)| rest.split_off(..length).expect("as many parameters as the shape has"))
 }
 
 /// As [`transpose`], or `None` where the length does not fit.
@@ -461,5 +419,9 @@ mod tests {
         let shape = AllocationShape { features: 58, columns: 6, width: 128, heads: 4 };
         assert_eq!(AllocationCritic::count(shape), 74_499);
         assert_eq!(AllocationPolicy::count(shape), 107_264);
+        let [critic, policy] = &mut [Places::default(); 2];
+        CriticLayers::of(shape, critic);
+        PolicyLayers::of(shape, policy);
+        assert_eq!([critic.end, policy.end], [74_499, 107_264]);
     }
 }

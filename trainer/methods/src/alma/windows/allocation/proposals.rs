@@ -1,7 +1,12 @@
-//! Allocations proposed by the policy, with their probabilities, and the way back to its weights.
+//! Allocations proposed by the policy, with their probabilities, on a tape.
 //!
 //! Dissertation section 7.2.2 and the public code's autoregressive pointer policy, rewritten so that every
-//! distinct thing is computed once: see [`super::trunk`] and [`super::teams`].
+//! distinct thing is computed once: see [`super::tree`].
+//!
+//! The vector of a subtask is the sum of what its entities attend to among themselves; an entity alone
+//! attends to itself with weight 1, so that its queries and keys need not be computed. An agent that joins adds
+//! `W relu([task; agent]) + b` to the vector of its subtask. Both halves of the product stand alone: the agent's is the
+//! same for all proposals, the task's for all agents that join this very team.
 
 use std::ops::Range;
 
@@ -9,11 +14,12 @@ use sortie_core::internal::math::exp;
 use sortie_envs::random::unit;
 use sortie_learn::random::{Purpose, generator};
 use sortie_nn::random::Generator;
+use sortie_nn::tape::{Linear, Pass, Tape, Var};
 
-use super::networks::{AllocationPolicy, PolicyParts};
+use super::block::Block;
+use super::networks::{AllocationPolicy, PolicyLayers};
 use super::rows::States;
-use super::teams::{Prefix, Teams, Tree};
-use super::trunk::{Block, NONE, Trunk};
+use super::tree::{Asked, IMPOSSIBLE, Prefix, Team, Tree, is_possible};
 use crate::alma::windows::NO_TASK;
 
 /// What decides between the possible choices.
@@ -33,131 +39,197 @@ pub enum Noise<'a> {
     Given(&'a [u8]),
 }
 
-/// The proposals of a block of states; buffers of one worker.
-#[derive(Clone, Debug, Default)]
-pub(super) struct ProposalPass {
-    block: Block,
-    trunk: Trunk,
-    teams: Teams,
-    tree: Tree,
-    proposals: usize,
-    generators: Vec<Generator>,
+/// What the teams of a block are computed from.
+#[derive(Debug)]
+struct Vectors {
+    /// `[agents, E]`
+    agents: Var,
+    /// `[agents, 3]`: products of agents and count vectors.
+    counts: Var,
+    /// `[agents that others follow, E]`: what an agent adds to the vector of its subtask.
+    updates: Var,
+    /// `[teams, E]`
+    teams: Var,
+    team_count: usize,
+    /// `[products, E]`: what is added to the vectors of these teams, whoever joins.
+    products: Option<Var>,
+    product_count: usize,
 }
 
-impl ProposalPass {
+impl PolicyLayers {
+    /// Embeds the agents, and computes the vectors of the open subtasks.
+    fn begin(self, t: &mut Pass<'_>, block: &Block) -> Vectors {
+        let width = self.out.shape.input;
+        let rows = t.sparse_linear(&block.rows, self.embedding);
+        let agents = t.rows(rows, 0..block.agent_count);
+        let others = t.rows(rows, block.agent_count..block.rows.len());
+        let others = t.relu(others);
+        let attended = if block.alone {
+            let weight = self.keys_values.weight + width * width;
+            t.linear(others, Linear { shape: self.queries.shape, weight, bias: None })
+        } else {
+            let queries = t.linear(others, self.queries);
+            let keys_values = t.linear(others, self.keys_values);
+            t.attention(queries, keys_values, &block.same_task, self.heads)
+        };
+        let sums = t.scatter(attended, &block.entity_open, block.open_count());
+        let sums = t.linear(sums, Linear { bias: None, ..self.out });
+        // A subtask has the offsets as often as it has entities.
+        let offsets = t.parameter(self.out.bias.expect("offsets"), [1, width]);
+        let members = t.input(1, &block.members);
+        let offsets = t.product(members, offsets);
+        let teams = t.add(sums, offsets);
+
+        let followed = t.rows(agents, 0..block.followed);
+        let rectified = t.relu(followed);
+        let updates = t.linear(rectified, self.update_agent);
+        let counts = t.parameter(self.count, [3, width]);
+        let counts = t.product_transposed(agents, counts);
+        let team_count = block.open_count();
+        Vectors { agents, counts, updates, teams, team_count, products: None, product_count: 0 }
+    }
+
+    /// The logits `[prefixes T, 1]` of the choices that are asked for.
+    fn logits(self, t: &mut Pass<'_>, vectors: &Vectors, teams: &[Team], asked: &Asked) -> Var {
+        let width = self.out.shape.input;
+        let [agents, own] = [(vectors.agents, &asked.agents), (vectors.teams, &asked.teams)]
+            .map(|(all, rows)| t.gather(all, rows));
+        let products = t.multiply(agents, own);
+        let dots = t.sum_columns(products);
+        let numbers = asked.teams.iter().map(|team| teams[*team as usize]);
+        let numbers: Vec<f32> = numbers.flat_map(|team| [team.others, team.size, 1.0]).collect();
+        let (numbers, counts) = (t.input(3, &numbers), t.gather(vectors.counts, &asked.agents));
+        let counts = t.multiply(counts, numbers);
+        let counts = t.sum_columns(counts);
+        let logits = t.add(dots, counts);
+        let logits = t.scale(logits, 1.0 / (width as f32).sqrt());
+        let impossible = t.input(1, &[IMPOSSIBLE]);
+        let all = t.stack(&[logits, impossible]);
+        t.gather(all, &asked.places)
+    }
+
+    /// Computes the vectors of all teams that arose since the last call.
+    fn grow(self, t: &mut Pass<'_>, vectors: &mut Vectors, tree: &Tree) {
+        let new = &tree.teams[vectors.team_count..];
+        if new.is_empty() {
+            return;
+        }
+        let products_of = &tree.products_of[vectors.product_count..];
+        if !products_of.is_empty() {
+            let before = t.gather(vectors.teams, products_of);
+            let rectified = t.relu(before);
+            let products = t.linear(rectified, self.update_task);
+            let all = vectors.products.map_or(products, |older| t.stack(&[older, products]));
+            vectors.products = Some(all);
+        }
+        let products = vectors.products.expect("a product for every team that is joined");
+        let product_of = |team: &Team| tree.teams[team.before as usize].product;
+        let lists: [Vec<u32>; 3] = [
+            new.iter().map(|team| team.before).collect(),
+            new.iter().map(product_of).collect(),
+            new.iter().map(|team| team.joined).collect(),
+        ];
+        let sum = t.gather(vectors.teams, &lists[0]);
+        let products = t.gather(products, &lists[1]);
+        let updates = t.gather(vectors.updates, &lists[2]);
+        let sum = t.add(sum, products);
+        let sum = t.add(sum, updates);
+        vectors.teams = t.stack(&[vectors.teams, sum]);
+        vectors.team_count = tree.teams.len();
+        vectors.product_count = tree.products_of.len();
+    }
+}
+
+/// The proposals of a block of states, and the pass that computed them.
+#[derive(Debug)]
+pub(super) struct Proposals<'a> {
+    pub(super) t: Pass<'a>,
+    pub(super) block: Block,
+    tree: Tree,
+    /// Of every level, the log-probabilities `[prefixes, T]` of its choices.
+    chances: Vec<Var>,
+    proposals: usize,
+}
+
+impl<'a> Proposals<'a> {
     /// Proposes `proposals` allocations for each of a range of states; `columns [T]` are task columns.
-    pub(super) fn forward(
-        &mut self,
-        policy: &AllocationPolicy,
-        states: &States,
-        range: Range<usize>,
+    pub(super) fn draw(
+        tape: &'a mut Tape,
+        policy: &'a AllocationPolicy,
+        (states, range): (&States, Range<usize>),
         columns: &[u8],
         (proposals, noise): (usize, Noise<'_>),
-    ) {
-        let (shape, view) = (policy.shape(), policy.parts());
-        self.proposals = proposals;
-        self.block.fill(shape, states, range.clone(), columns);
-        let vectors = self.teams.begin(shape, &self.block);
-        self.trunk.forward(shape, &view, &self.block, vectors);
-        self.teams.count_agents(shape, &view, self.trunk.agents(shape, &self.block));
-        self.tree.begin(proposals, states.tasks, &self.block.open);
-        self.generators.clear();
-        if let Noise::Seeded { seed, .. } = noise {
-            let own = |state: usize| generator(seed, Purpose::Proposals, state as u64);
-            self.generators.extend(range.map(own));
-        }
+    ) -> Self {
+        let layers = policy.layers();
+        let block = Block::of(policy.shape(), states, range.clone(), columns);
+        let tree = Tree::begin(&block, proposals);
+        let t = tape.begin(policy.parameters());
+        let mut own = Self { t, block, tree, chances: Vec::new(), proposals };
+        let mut vectors = layers.begin(&mut own.t, &own.block);
+        let mut generators: Vec<Generator> = match noise {
+            Noise::Seeded { seed, .. } => {
+                range.map(|state| generator(seed, Purpose::Proposals, state as u64)).collect()
+            }
+            Noise::Gumbel(_) | Noise::Given(_) => Vec::new(),
+        };
         let mut start = 0;
-        let deepest = self.block.levels.iter().copied().max().unwrap_or(0);
+        let deepest = own.block.levels.iter().copied().max().unwrap_or(0);
         for level in 0..deepest {
-            let end = self.tree.prefixes.len();
-            self.value_choices(policy, start..end);
-            (0..self.block.len()).for_each(|local| self.choose(local, level, noise));
-            self.teams.grow(shape, &view, &self.trunk.updates);
-            start = end;
+            let Self { t, block, tree, chances, .. } = &mut own;
+            let prefixes = start..tree.prefixes.len();
+            let asked = tree.ask(block, prefixes.clone());
+            let logits = layers.logits(t, &vectors, &tree.teams, &asked);
+            let logits = t.reshape(logits, block.tasks);
+            let choices = t.log_softmax(logits);
+            tree.note(prefixes.clone(), t.values(choices));
+            chances.push(choices);
+            (0..own.block.len()).for_each(|local| own.choose(local, level, noise, &mut generators));
+            layers.grow(&mut own.t, &mut vectors, &own.tree);
+            start = prefixes.end;
         }
-    }
-
-    /// Whether a prefix has allocated all agents of its state.
-    fn is_whole(&self, prefix: &Prefix) -> bool {
-        prefix.level as usize == self.block.levels[prefix.state as usize]
-    }
-
-    /// The row of the next agent of a prefix that is not whole.
-    fn next_row(&self, prefix: &Prefix) -> u32 {
-        self.block.agent_rows[prefix.state as usize * self.block.agents + prefix.level as usize]
-    }
-
-    /// Computes the log-probabilities of the next choices of some prefixes.
-    fn value_choices(&mut self, policy: &AllocationPolicy, prefixes: Range<usize>) {
-        let shape = policy.shape();
-        for index in prefixes.clone() {
-            let prefix = self.tree.prefixes[index];
-            if self.is_whole(&prefix) {
-                continue;
-            }
-            let row = self.next_row(&prefix);
-            for team in self.tree.teams(index).iter().filter(|team| **team != NONE) {
-                self.teams.ask(*team, prefix.level as usize, row);
-            }
-        }
-        self.teams.answer(shape, self.trunk.agents(shape, &self.block));
-        for index in prefixes {
-            let prefix = self.tree.prefixes[index];
-            if self.is_whole(&prefix) {
-                continue;
-            }
-            for task in 0..self.block.tasks {
-                let team = self.tree.teams(index)[task];
-                if team != NONE {
-                    let logit = self.teams.logit(team, prefix.level as usize);
-                    self.tree.log_probabilities_mut(index)[task] = logit;
-                }
-            }
-            log_softmax(self.tree.log_probabilities_mut(index));
-        }
+        own
     }
 
     /// Lets all proposals of a state choose for their next agent.
-    fn choose(&mut self, local: usize, level: usize, noise: Noise<'_>) {
-        let levels = self.block.levels[local];
+    fn choose(
+        &mut self,
+        local: usize,
+        level: usize,
+        noise: Noise<'_>,
+        generators: &mut [Generator],
+    ) {
+        let Self { block, tree, proposals, .. } = self;
+        let levels = block.levels[local];
         if level >= levels {
             return;
         }
-        let slot = usize::from(self.block.slots[local * self.block.agents + level]);
-        for proposal in 0..self.proposals {
-            let index = local * self.proposals + proposal;
-            let chances = self.tree.log_probabilities(self.tree.at[index] as usize);
-            let global = self.block.states.start * self.proposals + index;
-            let agent = global * self.block.agents + slot;
+        let agent = usize::from(block.slots[local * block.agents + level]);
+        let row = block.agent(local as u32, level as u32);
+        for proposal in 0..*proposals {
+            let index = local * *proposals + proposal;
+            let chances = tree.log_probabilities(tree.at[index] as usize);
+            let own = (block.states.start * *proposals + index) * block.agents + agent;
             let task = match noise {
-                Noise::Seeded { greedy_first: true, .. } if proposal == 0 => largest(chances),
-                Noise::Seeded { .. } => draw(chances, unit(&mut self.generators[local])),
-                Noise::Gumbel(noise) => {
-                    let noise = &noise[agent * chances.len()..];
-                    largest_of(chances.iter().zip(noise).map(|(chance, noise)| chance + noise))
+                Noise::Seeded { greedy_first: true, .. } if proposal == 0 => {
+                    largest(chances.iter().copied())
                 }
-                Noise::Given(allocations) => usize::from(allocations[agent]),
+                Noise::Seeded { .. } => choice_at(chances, unit(&mut generators[local])),
+                Noise::Gumbel(noise) => {
+                    let noise = &noise[own * chances.len()..];
+                    largest(chances.iter().zip(noise).map(|(chance, noise)| chance + noise))
+                }
+                Noise::Given(allocations) => usize::from(allocations[own]),
             };
-            let row = self.block.agent_rows[local * self.block.agents + level];
-            let teams = &mut self.teams;
-            let followed = level + 1 < levels;
-            let join = |team| if followed { teams.join(team, level, row) } else { team };
-            self.tree.choose(index, task, join);
+            tree.choose(index, task, row, level + 1 < levels);
         }
     }
 
-    /// The distinct allocations of a state of the block, and for each proposal which one it is.
-    pub(super) fn distinct(&self, local: usize) -> impl Iterator<Item = u32> {
-        let range = self.whole(local);
-        range.start as u32..range.end as u32
-    }
-
-    /// Whole prefixes of a state stand behind each other, as they arise together.
-    fn whole(&self, local: usize) -> Range<usize> {
+    /// The distinct allocations of a state of the block.
+    pub(super) fn distinct(&self, local: usize) -> Range<u32> {
+        // Whole prefixes of a state stand behind each other, as they arise together.
         let at = &self.tree.at[local * self.proposals..][..self.proposals];
         let first = at.iter().min().copied().unwrap_or(0);
-        let last = at.iter().max().map_or(0, |last| last + 1);
-        first as usize..last as usize
+        first..at.iter().max().map_or(0, |last| last + 1)
     }
 
     /// The distinct allocation that a proposal of a state is.
@@ -165,12 +237,14 @@ impl ProposalPass {
         self.tree.at[local * self.proposals + proposal]
     }
 
-    /// Writes an allocation `[A]`; absent agents have no subtask.
-    pub(super) fn write(&self, whole: u32, allocation: &mut [u8]) {
-        allocation.fill(NO_TASK);
+    /// Adds an allocation `[A]`; absent agents have no subtask.
+    pub(super) fn write(&self, whole: u32, allocations: &mut Vec<u8>) {
+        let agents = self.block.agents;
+        let start = allocations.len();
+        allocations.resize(start + agents, NO_TASK);
         for prefix in self.tree.way_back(whole) {
-            let place = prefix.state as usize * self.block.agents + prefix.level as usize - 1;
-            allocation[usize::from(self.block.slots[place])] = prefix.task;
+            let place = prefix.state as usize * agents + prefix.level as usize - 1;
+            allocations[start + usize::from(self.block.slots[place])] = prefix.task;
         }
     }
 
@@ -181,11 +255,10 @@ impl ProposalPass {
 
     /// The sum of the entropies of all proposals of all states of the block.
     pub(super) fn entropy(&self) -> f64 {
-        let undecided = |(index, prefix): (usize, &Prefix)| {
-            let entropy = f64::from(entropy(self.tree.log_probabilities(index)));
-            if self.is_whole(prefix) { 0.0 } else { f64::from(prefix.count) * entropy }
+        let own = |(index, prefix): (usize, &Prefix)| {
+            f64::from(prefix.count) * f64::from(entropy(self.tree.log_probabilities(index)))
         };
-        self.tree.prefixes.iter().enumerate().map(undecided).sum()
+        self.tree.prefixes.iter().enumerate().map(own).sum()
     }
 
     /// The entropy of one allocation's choices, summed over its agents.
@@ -197,84 +270,53 @@ impl ProposalPass {
     /// Adds to `gradient` (all parameters) the gradient of
     /// `sum over states of weight * -log f(best) - entropy_weight * sum of all entropies`.
     ///
-    /// `best` has an allocation and its weight for each state of the last forward pass.
-    pub(super) fn backward(
+    /// `best` has an allocation and its weight for each state.
+    pub(super) fn descend(
         &mut self,
-        policy: &AllocationPolicy,
         best: &[(u32, f32)],
         entropy_weight: f32,
         gradient: &mut [f32],
     ) {
-        let (shape, view) = (policy.shape(), policy.parts());
-        self.teams.begin_backward();
-        for (whole, weight) in best.iter().filter(|(_, weight)| *weight != 0.0) {
-            let way: Vec<Prefix> = self.tree.way_back(*whole).copied().collect();
-            way.iter().for_each(|prefix| self.make_likelier(prefix, *weight));
-        }
-        for index in 0..self.tree.prefixes.len() {
-            self.make_livelier(index, entropy_weight);
-        }
-        let mut gradient: PolicyParts<&mut [f32]> = AllocationPolicy::parts_of(shape, gradient);
-        self.trunk.begin_backward(shape, &self.block);
-        let (block, trunk) = (&self.block, &mut self.trunk);
-        let d_tasks = self.teams.backward(shape, &view, block, trunk, &mut gradient);
-        self.trunk.backward(shape, &view, &self.block, d_tasks, &mut gradient);
-    }
-
-    /// Adds the slopes of `weight * -log p` of the choice that a prefix ends with.
-    fn make_likelier(&mut self, prefix: &Prefix, weight: f32) {
-        let (parent, level) = (prefix.parent as usize, prefix.level as usize - 1);
-        let chances = self.tree.log_probabilities(parent);
-        for ((task, team), chance) in (0..).zip(self.tree.teams(parent)).zip(chances) {
-            if *team != NONE {
-                let chosen = if task == prefix.task { 1.0 } else { 0.0 };
-                self.teams.add_slope(*team, level, weight * (exp(*chance) - chosen));
+        let Self { t, block, tree, chances, .. } = self;
+        let zeros = |level: &Var| vec![0.0; t.values(*level).len()];
+        let mut chosen: Vec<Vec<f32>> = chances.iter().map(zeros).collect();
+        let mut counts = chosen.clone();
+        for (whole, weight) in best {
+            for prefix in tree.way_back(*whole) {
+                let Prefix { level, row, .. } = tree.prefixes[prefix.parent as usize];
+                let place = row as usize * block.tasks + usize::from(prefix.task);
+                chosen[level as usize][place] -= weight;
             }
         }
-    }
-
-    /// Adds the slopes of `-weight * entropy` of the choices after a prefix, for all who come by.
-    fn make_livelier(&mut self, index: usize, weight: f32) {
-        let prefix = self.tree.prefixes[index];
-        if self.is_whole(&prefix) {
-            return;
-        }
-        let chances = self.tree.log_probabilities(index);
-        let (entropy, weight) = (entropy(chances), weight * prefix.count as f32);
-        for (team, chance) in self.tree.teams(index).iter().zip(chances) {
-            if *team != NONE {
-                let slope = weight * exp(*chance) * (*chance + entropy);
-                self.teams.add_slope(*team, prefix.level as usize, slope);
+        for Prefix { level, row, count, .. } in tree.prefixes.iter() {
+            if let Some(own) = counts.get_mut(*level as usize)
+                && let Some(own) = own.get_mut(*row as usize * block.tasks..)
+            {
+                own[..block.tasks].fill(entropy_weight * *count as f32);
             }
         }
+        let mut terms = Vec::new();
+        for ((chances, chosen), counts) in chances.iter().zip(&chosen).zip(&counts) {
+            terms.push(t.weighted_sum(*chances, chosen));
+            let probabilities = t.exp(*chances);
+            let lost = t.multiply(probabilities, *chances);
+            terms.push(t.weighted_sum(lost, counts));
+        }
+        if !terms.is_empty() {
+            let terms = t.concat(&terms);
+            let loss = t.sum_columns(terms);
+            t.backward(loss, gradient);
+        }
     }
-
-    /// Floating-point operations of all passes up to now.
-    pub(super) fn operations(&self) -> u64 {
-        self.trunk.operations + self.teams.operations
-    }
-}
-
-/// Turns logits into log-probabilities; minus infinity stays.
-fn log_softmax(logits: &mut [f32]) {
-    let largest = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    let possible = logits.iter().filter(|logit| logit.is_finite());
-    let sum: f32 = possible.map(|logit| exp(logit - largest)).sum();
-    let shift = largest + sum.ln();
-    logits.iter_mut().for_each(|logit| *logit -= shift);
 }
 
 fn entropy(log_probabilities: &[f32]) -> f32 {
-    let possible = log_probabilities.iter().filter(|chance| chance.is_finite());
+    let possible = log_probabilities.iter().filter(|chance| is_possible(**chance));
     -possible.map(|chance| exp(*chance) * chance).sum::<f32>()
 }
 
-fn largest(values: &[f32]) -> usize {
-    largest_of(values.iter().copied())
-}
-
 /// The first of the largest values.
-fn largest_of(values: impl Iterator<Item = f32>) -> usize {
+fn largest(values: impl Iterator<Item = f32>) -> usize {
     let mut best = (0, f32::NEG_INFINITY);
     for (index, value) in values.enumerate() {
         if value > best.1 {
@@ -285,10 +327,11 @@ fn largest_of(values: impl Iterator<Item = f32>) -> usize {
 }
 
 /// The choice at a uniform number in 0..1.
-fn draw(log_probabilities: &[f32], uniform: f64) -> usize {
+fn choice_at(log_probabilities: &[f32], uniform: f64) -> usize {
     let mut rest = uniform as f32;
     let mut last = 0;
-    for (task, chance) in log_probabilities.iter().enumerate().filter(|(_, c)| c.is_finite()) {
+    let possible = log_probabilities.iter().enumerate().filter(|(_, chance)| is_possible(**chance));
+    for (task, chance) in possible {
         last = task;
         rest -= exp(*chance);
         if rest < 0.0 {

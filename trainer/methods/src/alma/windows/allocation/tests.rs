@@ -7,10 +7,11 @@ use sortie_envs::random::{below, chance};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::layers::SparseRows;
 use sortie_nn::random::Generator;
+use sortie_nn::tape::Tape;
 
-use super::critic::{CriticInput, CriticPass};
+use super::critic::CriticInput;
 use super::networks::{AllocationCritic, AllocationPolicy};
-use super::proposals::{Noise, ProposalPass};
+use super::proposals::{Noise, Proposals};
 use super::{
     AllocationLearning, AllocationLevel, AllocationNetworks, AllocationShape, Decider, RowRules,
     StateView, States, StepDraws, TaskColumns,
@@ -184,9 +185,22 @@ fn states_do_not_see_each_other() {
     }
 }
 
+/// The places of tensors that stand behind each other.
+fn places<const COUNT: usize>(
+    names: [&'static str; COUNT],
+    tensors: [(usize, usize); COUNT],
+) -> Vec<(&'static str, Range<usize>)> {
+    let mut end = 0;
+    let place = |(name, (length, _))| {
+        end += length;
+        (name, end - length..end)
+    };
+    names.into_iter().zip(tensors).map(place).collect()
+}
+
 /// Checks the gradient of every tensor on its own.
 fn assert_gradients(
-    tensors: &[(&str, Range<usize>)],
+    tensors: &[(&'static str, Range<usize>)],
     parameters: &[f32],
     gradient: &[f32],
     loss: impl Fn(&[f32]) -> f64,
@@ -222,25 +236,29 @@ fn the_policy_s_gradient_agrees_with_finite_differences() {
         let entropy = got.entropies.iter().map(|entropy| f64::from(*entropy)).sum::<f64>();
         surprise - f64::from(ENTROPY) * entropy
     };
-    let mut pass = ProposalPass::default();
-    pass.forward(&policy, &states, 0..STATES, &columns().policy, fixed);
+    let (mut tape, block) = (Tape::default(), (&states, 0..STATES));
+    let mut pass = Proposals::draw(&mut tape, &policy, block, &columns().policy, fixed);
     let best: Vec<(u32, f32)> = (0..STATES).map(|s| (pass.of_proposal(s, 1), weights[s])).collect();
     let mut gradient = vec![0.0; policy.parameters().len()];
-    pass.backward(&policy, &best, ENTROPY, &mut gradient);
+    pass.descend(&best, ENTROPY, &mut gradient);
 
-    let places = AllocationPolicy::places(SHAPE);
-    let tensors = [
-        ("embedding", places.embedding),
-        ("embedding bias", places.embedding_bias),
-        ("queries", places.queries),
-        ("keys and values", places.keys_values),
-        ("out", places.out),
-        ("out bias", places.out_bias),
-        ("count", places.count),
-        ("update of the task", places.update_task),
-        ("update of the agent", places.update_agent),
-        ("update bias", places.update_bias),
+    let names = [
+        "features",
+        "task columns",
+        "embedding bias",
+        "queries, keys and values",
+        "out",
+        "out bias",
+        "counts",
+        "count bias",
+        "update of the task",
+        "update of the agent",
+        "update bias",
     ];
+    let mut tensors = places(names, AllocationPolicy::tensors(SHAPE));
+    // What is the same for all choices of an agent changes none: the bias of the counts has no slope of its own.
+    let (_, bias) = tensors.remove(7);
+    tensors[6].1.end = bias.end;
     assert_gradients(&tensors, policy.parameters(), &gradient, loss);
 }
 
@@ -259,27 +277,36 @@ fn the_critic_s_gradient_agrees_with_finite_differences() {
     }
     let slopes = random(7, 2 * STATES);
     let loss = |parameters: &[f32]| {
-        let critic = AllocationCritic::from_parameters(SHAPE, parameters.to_vec(), critic.popart);
-        let mut pass = CriticPass::default();
-        let values = pass.forward(critic.as_ref().expect("as many"), &input);
-        values.iter().zip(&slopes).map(|(value, d)| f64::from(*value) * f64::from(*d)).sum()
+        let mut tape = Tape::default();
+        let mut t = tape.begin(parameters);
+        let values = critic.layers().values(&mut t, &input);
+        let values = critic.layers().head(&mut t, values);
+        let terms = t.values(values).iter().zip(&slopes);
+        terms.map(|(value, d)| f64::from(*value) * f64::from(*d)).sum()
     };
-    let mut pass = CriticPass::default();
-    pass.forward(&critic, &input);
+    let mut tape = Tape::default();
+    let mut t = tape.begin(critic.parameters());
+    let values = critic.layers().values(&mut t, &input);
+    let values = critic.layers().head(&mut t, values);
+    let sum = t.weighted_sum(values, &slopes);
     let mut gradient = vec![0.0; critic.parameters().len()];
-    pass.backward(&critic, &input, &slopes, &mut gradient);
+    t.backward(sum, &mut gradient);
 
-    let places = AllocationCritic::places(SHAPE);
-    let tensors = [
-        ("embedding", places.embedding),
-        ("embedding bias", places.embedding_bias),
-        ("queries", places.queries),
-        ("keys and values", places.keys_values),
-        ("out", places.out),
-        ("out bias", places.out_bias),
-        ("value", places.value),
-        ("value bias", places.value_bias),
+    let names = [
+        "features",
+        "task columns",
+        "counts",
+        "count bias",
+        "embedding bias",
+        "queries, keys and values",
+        "out",
+        "out bias",
+        "value",
+        "value bias",
+        "head",
+        "head bias",
     ];
+    let tensors = places(names, AllocationCritic::tensors(SHAPE));
     assert_gradients(&tensors, critic.parameters(), &gradient, loss);
 }
 

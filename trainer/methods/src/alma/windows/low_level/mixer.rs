@@ -1,16 +1,159 @@
-//! The flexible mixer of QMIX with its four hypernetworks and its PopArt head.
+//! The flexible mixer of QMIX with its four hypernetworks and its PopArt head, on a tape.
 //!
 //! Dissertation sections 5.3.2 and 7.3: `Q = w2 . elu(sum over agents of W1[a] q_a + b1) + V` for every
 //! team, then `w Q + b` in normalised units. `W1` and `w2` are made non-negative; the public code of
 //! ALMA makes `b1` and `V` so as well, which is a switch here.
+//!
+//! A hypernetwork makes these numbers from everything around agents or teams: it embeds every entity, lets the agents
+//! attend and projects twice. No activation stands between the value matrix and the last layer, so that these three
+//! matrices are one: products of parameters, which stand behind the others while networks do not change. Numbers of a
+//! team are means over its agents; they are taken before the merged layer is applied.
 
-use sortie_nn::layers::{TeamLists, softmax};
-use sortie_nn::random::{Generator, signed_unit};
+use sortie_nn::layers::team_attention::Sums;
+use sortie_nn::layers::{SparseRows, TeamLists};
+use sortie_nn::random::Generator;
+use sortie_nn::tape::{Linear, Pass, Places, Tape, Var};
 
-use super::hypernetwork::{
-    HypernetworkGradient, HypernetworkPass, HypernetworkShape, Merged, MixerInput, Mode,
-};
+use crate::alma::agents::drawn;
 use crate::alma::windows::config::Nonnegative;
+
+/// What a hypernetwork gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// M numbers for every agent.
+    Matrix,
+    /// M numbers for every team: the mean over its agents.
+    Vector,
+    /// One number for every team: the mean of its vector.
+    Scalar,
+}
+
+/// The names of the hypernetworks and what they give, in the order of the parameters.
+pub const HYPERNETWORKS: [(&str, Mode); 4] =
+    [("w1", Mode::Matrix), ("b1", Mode::Vector), ("w2", Mode::Vector), ("v", Mode::Scalar)];
+
+/// Sizes of a hypernetwork.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HypernetworkShape {
+    /// Input columns of one entity.
+    pub input: usize,
+    /// Width E of embedding and attention.
+    pub width: usize,
+    /// Attention heads H, a divisor of the width.
+    pub heads: usize,
+    /// Mixing width M.
+    pub mixing: usize,
+}
+
+impl HypernetworkShape {
+    /// Number of parameters.
+    pub fn parameters(self) -> usize {
+        let places = &mut Places::default();
+        HypernetworkLayers::of(self, Mode::Matrix, places);
+        places.end
+    }
+}
+
+/// The layers of a hypernetwork, in the order of its parameters.
+#[derive(Clone, Copy, Debug)]
+pub struct HypernetworkLayers {
+    mode: Mode,
+    heads: usize,
+    /// `[input, E]`
+    fc1: Linear,
+    query: Linear,
+    key: Linear,
+    value: Linear,
+    out: Linear,
+    /// `[M, E]`
+    fc2: Linear,
+}
+
+impl HypernetworkLayers {
+    /// Those of a hypernetwork of this shape.
+    pub fn of(shape: HypernetworkShape, mode: Mode, places: &mut Places) -> Self {
+        let HypernetworkShape { input, width, heads, mixing } = shape;
+        Self {
+            mode,
+            heads,
+            fc1: places.linear(input, width),
+            query: places.projection(width, width),
+            key: places.projection(width, width),
+            value: places.projection(width, width),
+            out: places.linear(width, width),
+            fc2: places.linear(width, mixing),
+        }
+    }
+
+    /// Value, output and last layer in one, in a row: the weight `[K, H E]`, then the offsets.
+    pub fn merged(self, t: &mut Pass<'_>) -> Var {
+        let (width, mixing) = (self.fc2.shape.input, self.fc2.shape.output);
+        let [out_bias, last_bias] = [self.out, self.fc2].map(|layer| layer.bias.expect("offsets"));
+        let mut last = t.parameter(self.fc2.weight, [mixing, width]);
+        let mut offsets = t.parameter(last_bias, [mixing, 1]);
+        if self.mode == Mode::Scalar {
+            (last, offsets) = (t.mean_rows(last), t.mean_rows(offsets));
+        }
+        let out_bias = t.parameter(out_bias, [1, width]);
+        let through = t.product_transposed(last, out_bias);
+        let offsets = t.add(offsets, through);
+        let [out, value] =
+            [self.out, self.value].map(|layer| t.parameter(layer.weight, [width; 2]));
+        let projected = t.product(last, out);
+        let narrow = width / self.heads;
+        let heads = (0..self.heads).map(|head| {
+            let own = head * narrow..(head + 1) * narrow;
+            let (projected, value) = (t.columns(projected, own.clone()), t.rows(value, own));
+            t.product(projected, value)
+        });
+        let heads: Vec<Var> = heads.collect();
+        let weight = t.concat(&heads);
+        let parts = [weight, offsets].map(|part| {
+            let [rows, columns] = t.size(part);
+            t.reshape(part, rows * columns)
+        });
+        t.concat(&parts)
+    }
+
+    /// The numbers `[agents or teams, K]`, where means are over `slots` agents: absent ones count as zeros. The merged
+    /// layer has the next place.
+    pub fn numbers(
+        self,
+        t: &mut Pass<'_>,
+        merged: &mut Places,
+        (input, slots): (&MixerInput, usize),
+    ) -> Var {
+        let (width, teams) = (self.fc2.shape.input, &input.teams);
+        let entities = t.sparse_linear_rectified(&input.rows, self.fc1);
+        let own = t.rows(entities, 0..teams.queries());
+        let (queries, keys) = (t.linear(own, self.query), t.linear(entities, self.key));
+        let outputs = if self.mode == Mode::Scalar { 1 } else { self.fc2.shape.output };
+        let layer = merged.projection(self.heads * width, outputs);
+        let offsets = merged.numbers(outputs);
+        let rows = [queries, keys, entities];
+        if self.mode == Mode::Matrix {
+            let sums = t.team_attention(rows, teams, Sums::PerQuery, self.heads);
+            return t.linear(sums, Linear { bias: Some(offsets), ..layer });
+        }
+        let sums = t.team_attention(rows, teams, Sums::PerTeam, self.heads);
+        let numbers = t.linear(sums, layer);
+        // A team has the offsets as often as it has agents.
+        let sizes: Vec<f32> = teams.sizes().map(|size| size as f32).collect();
+        let (sizes, offsets) = (t.input(1, &sizes), t.parameter(offsets, [1, outputs]));
+        let offsets = t.product(sizes, offsets);
+        let sum = t.add(numbers, offsets);
+        t.scale(sum, 1.0 / slots as f32)
+    }
+}
+
+/// What a mixer looks at: the entities of any number of teams.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MixerInput {
+    /// Features of every entity, those of the teams' agents first.
+    pub rows: SparseRows,
+    /// The teams, their agents being the queries, and what they attend to.
+    pub teams: TeamLists,
+}
 
 /// Sizes and switches of a mixer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,21 +170,96 @@ pub struct MixerShape {
     pub bias_nonnegative: bool,
 }
 
-/// The names of the hypernetworks and what they give, in the order of the parameters.
-pub const HYPERNETWORKS: [(&str, Mode); 4] =
-    [("w1", Mode::Matrix), ("b1", Mode::Vector), ("w2", Mode::Vector), ("v", Mode::Scalar)];
-
 impl MixerShape {
     /// Number of parameters: four hypernetworks, then the head's weights and its biases.
     pub fn parameters(self) -> usize {
         4 * self.hypernetwork.parameters() + 2 * self.outputs
     }
+}
 
-    pub(super) fn hypernetworks<'a>(
+/// The layers of a mixer, in the order of its parameters.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MixerLayers {
+    shape: MixerShape,
+    hypernetworks: [HypernetworkLayers; 4],
+    /// Where weights and biases of the head begin, `[outputs]` each.
+    pub(super) head: [usize; 2],
+}
+
+impl MixerLayers {
+    pub(super) fn of(shape: MixerShape, places: &mut Places) -> Self {
+        let own = |(_, mode)| HypernetworkLayers::of(shape.hypernetwork, mode, places);
+        let hypernetworks = HYPERNETWORKS.map(own);
+        Self { shape, hypernetworks, head: [0, 1].map(|_| places.numbers(shape.outputs)) }
+    }
+
+    /// The merged layers of all hypernetworks in a row.
+    fn merged(self, t: &mut Pass<'_>) -> Var {
+        let rows = self.hypernetworks.map(|own| own.merged(t));
+        t.concat(&rows)
+    }
+
+    /// Puts the merged layers behind the parameters that they follow from.
+    pub(super) fn append_merged(self, tape: &mut Tape, parameters: &mut Vec<f32>) {
+        let mut t = tape.begin(parameters);
+        let merged = self.merged(&mut t);
+        let merged = t.values(merged).to_vec();
+        parameters.extend(merged);
+    }
+
+    /// Takes the gradient of the merged layers, which stands from `merged` on, to that of what they follow from.
+    pub(super) fn hand_back(
         self,
-        parameters: &'a [f32],
-    ) -> impl Iterator<Item = &'a [f32]> + 'a {
-        parameters.chunks_exact(self.hypernetwork.parameters()).take(HYPERNETWORKS.len())
+        tape: &mut Tape,
+        parameters: &[f32],
+        (merged, gradient): (usize, &mut Vec<f32>),
+    ) {
+        let slopes = gradient.split_off(merged);
+        let mut t = tape.begin(parameters);
+        let row = self.merged(&mut t);
+        let loss = t.weighted_sum(row, &slopes);
+        t.backward(loss, gradient);
+    }
+
+    /// The value `[teams, 1]` of every team before the head, from the utilities `[agents, 1]` of all agents' actions. The
+    /// merged layers stand from `merged` on.
+    pub(super) fn mix(
+        self,
+        t: &mut Pass<'_>,
+        merged: usize,
+        input: &MixerInput,
+        utilities: Var,
+    ) -> Var {
+        let MixerShape { slots, nonnegative, bias_nonnegative, .. } = self.shape;
+        let places = &mut Places { end: merged };
+        let numbers = self.hypernetworks.map(|own| own.numbers(t, places, (input, slots)));
+        let [first, bias, second, state] = numbers;
+        let [first, second] = [first, second].map(|weights| match nonnegative {
+            Nonnegative::Softmax => t.softmax(weights),
+            Nonnegative::Absolute => t.abs(weights),
+        });
+        let [bias, state] =
+            [bias, state].map(|bias| if bias_nonnegative { t.abs(bias) } else { bias });
+        let sizes = (0..).zip(input.teams.sizes());
+        let team_of = sizes.flat_map(|(team, size)| std::iter::repeat_n(team, size));
+        let team_of: Vec<u32> = team_of.collect();
+        let weighted = t.scale_rows(first, utilities);
+        let sums = t.scatter(weighted, &team_of, input.teams.teams());
+        let sums = t.add(sums, bias);
+        let hidden = t.elu(sums);
+        let products = t.multiply(hidden, second);
+        let values = t.sum_columns(products);
+        t.add(values, state)
+    }
+
+    /// Values `[teams, 1]` in normalised units, each by its own output of the head.
+    pub(super) fn head(self, t: &mut Pass<'_>, values: Var, outputs: &[u32]) -> Var {
+        let [weights, biases] = self.head.map(|start| {
+            let all = t.parameter(start, [self.shape.outputs, 1]);
+            t.gather(all, outputs)
+        });
+        let scaled = t.multiply(values, weights);
+        t.add(scaled, biases)
     }
 }
 
@@ -58,13 +276,11 @@ impl Mixer {
     /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does; the head
     /// changes nothing at first.
     pub fn initialise(shape: MixerShape, generator: &mut Generator) -> Self {
-        let mut parameters = Vec::with_capacity(shape.parameters());
-        for _ in HYPERNETWORKS {
-            for (_, inputs, length) in shape.hypernetwork.tensors() {
-                let bound = 1.0 / (inputs as f32).sqrt();
-                parameters.extend((0..length).map(|_| bound * signed_unit(generator)));
-            }
-        }
+        let HypernetworkShape { input, width, .. } = shape.hypernetwork;
+        let first = (input + 1) * width;
+        let rest = shape.hypernetwork.parameters() - first;
+        let tensors = HYPERNETWORKS.iter().flat_map(|_| [(first, input), (rest, width)]);
+        let mut parameters = drawn(tensors, generator);
         parameters.resize(parameters.len() + shape.outputs, 1.0);
         parameters.resize(parameters.len() + shape.outputs, 0.0);
         Self { shape, parameters }
@@ -81,262 +297,4 @@ impl Mixer {
         let (outputs, length) = (self.shape.outputs, self.parameters.len());
         self.parameters[length - 2 * outputs..].split_at_mut(outputs)
     }
-
-    /// What passes need beside the parameters, as long as these do not change.
-    pub fn merge(&self) -> MergedMixer {
-        let shape = self.shape.hypernetwork;
-        let merged = self.shape.hypernetworks(&self.parameters).zip(HYPERNETWORKS);
-        MergedMixer(merged.map(|(own, (_, mode))| Merged::new(shape, mode, own)).collect())
-    }
-}
-
-/// The merged matrices of a mixer's hypernetworks.
-#[derive(Clone, Debug)]
-pub struct MergedMixer(Vec<Merged>);
-
-/// The gradient of a mixer as passes add to it.
-#[derive(Clone, Debug)]
-pub struct MixerGradient {
-    hypernetworks: Vec<HypernetworkGradient>,
-    /// Of the head's weights and biases.
-    pub(super) head: Vec<f32>,
-}
-
-impl MixerGradient {
-    /// Zeros.
-    pub fn new(shape: MixerShape) -> Self {
-        let of = |(_, mode)| HypernetworkGradient::new(shape.hypernetwork, mode);
-        Self { hypernetworks: HYPERNETWORKS.map(of).into(), head: vec![0.0; 2 * shape.outputs] }
-    }
-
-    /// Sets all to zero.
-    pub fn clear(&mut self) {
-        self.hypernetworks.iter_mut().for_each(HypernetworkGradient::clear);
-        self.head.fill(0.0);
-    }
-
-    /// Adds another gradient of the same mixer.
-    pub fn add(&mut self, other: &Self) {
-        for (sum, other) in self.hypernetworks.iter_mut().zip(&other.hypernetworks) {
-            sum.add(other);
-        }
-        self.head.iter_mut().zip(&other.head).for_each(|(sum, value)| *sum += value);
-    }
-
-    /// Writes the gradient of all parameters.
-    pub fn write(&self, mixer: &Mixer, merged: &MergedMixer, gradient: &mut [f32]) {
-        let own = mixer.shape.hypernetwork.parameters();
-        let (hypernetworks, head) = gradient.split_at_mut(4 * own);
-        let places = hypernetworks.chunks_exact_mut(own);
-        let parameters = mixer.shape.hypernetworks(&mixer.parameters).zip(&merged.0);
-        for ((part, gradient), (parameters, merged)) in
-            self.hypernetworks.iter().zip(places).zip(parameters)
-        {
-            part.write(parameters, merged, gradient);
-        }
-        head.copy_from_slice(&self.head);
-    }
-}
-
-/// Buffers of one worker: the activations of the last forward pass and space for a backward pass.
-#[derive(Clone, Debug, Default)]
-pub struct MixerPass {
-    hypernetworks: [HypernetworkPass; 4],
-    mixing: Mixing,
-    gradient: MixingGradient,
-}
-
-impl MixerPass {
-    /// Floating-point operations of all passes up to now, see [`HypernetworkPass::operations`].
-    pub fn operations(&self) -> u64 {
-        self.hypernetworks.iter().map(HypernetworkPass::operations).sum()
-    }
-
-    /// Computes the value of every team before the head, from the utilities of all agents' actions.
-    pub fn forward(
-        &mut self,
-        mixer: &Mixer,
-        merged: &MergedMixer,
-        input: &MixerInput,
-        utilities: &[f32],
-    ) -> &[f32] {
-        let MixerShape { hypernetwork, slots, .. } = mixer.shape;
-        let mut networks = mixer.shape.hypernetworks(&mixer.parameters).zip(&merged.0);
-        let mut modes = HYPERNETWORKS.into_iter();
-        let numbers = self.hypernetworks.each_mut().map(|pass| {
-            let ((parameters, merged), (_, mode)) =
-                networks.next().zip(modes.next()).expect("four hypernetworks");
-            pass.forward((hypernetwork, mode, slots), parameters, merged, input)
-        });
-        self.mixing.forward(mixer.shape, &input.teams, Numbers(numbers), utilities)
-    }
-
-    /// Adds to `gradient` that of a loss whose slope by the values of the last forward pass is
-    /// `d_values`; returns the slope by the utilities.
-    pub fn backward(
-        &mut self,
-        mixer: &Mixer,
-        merged: &MergedMixer,
-        input: &MixerInput,
-        (utilities, d_values): (&[f32], &[f32]),
-        gradient: &mut MixerGradient,
-    ) -> &[f32] {
-        let MixerShape { hypernetwork, slots, .. } = mixer.shape;
-        self.mixing.backward(mixer.shape, &input.teams, utilities, d_values, &mut self.gradient);
-        let networks = mixer.shape.hypernetworks(&mixer.parameters).zip(&merged.0);
-        let passes = self.hypernetworks.iter_mut().zip(&mut self.gradient.numbers);
-        for ((((_, mode), (parameters, merged)), (pass, d_numbers)), gradient) in
-            HYPERNETWORKS.into_iter().zip(networks).zip(passes).zip(&mut gradient.hypernetworks)
-        {
-            let shape = (hypernetwork, mode, slots);
-            pass.backward(shape, parameters, merged, input, d_numbers, gradient);
-        }
-        &self.gradient.utilities
-    }
-}
-
-/// What the hypernetworks gave: `W1 [agents, M]`, `b1 [teams, M]`, `w2 [teams, M]`, `V [teams]`.
-pub(super) struct Numbers<'a>(pub(super) [&'a [f32]; 4]);
-
-/// The mixing layers of all teams of the last forward pass.
-#[derive(Clone, Debug, Default)]
-struct Mixing {
-    /// The numbers as they came, for the signs of those that go through absolute values.
-    raw: [Vec<f32>; 4],
-    /// `W1 [agents, M]`, not negative.
-    first: Vec<f32>,
-    /// `[teams, M]`, after the elu.
-    hidden: Vec<f32>,
-    /// `w2 [teams, M]`, not negative.
-    second: Vec<f32>,
-    values: Vec<f32>,
-}
-
-/// The slopes of a loss.
-#[derive(Clone, Debug, Default)]
-struct MixingGradient {
-    /// By the numbers, in their order.
-    pub(super) numbers: [Vec<f32>; 4],
-    /// By the utilities `[agents]`.
-    pub(super) utilities: Vec<f32>,
-}
-
-impl Mixing {
-    /// Computes the value of every team from the numbers and the utilities `[agents]`.
-    pub(super) fn forward(
-        &mut self,
-        shape: MixerShape,
-        teams: &TeamLists,
-        numbers: Numbers<'_>,
-        utilities: &[f32],
-    ) -> &[f32] {
-        let mixing = shape.hypernetwork.mixing;
-        let Numbers(numbers) = numbers;
-        self.raw.iter_mut().zip(numbers).for_each(|(raw, numbers)| set(raw, numbers));
-        let [first, bias, second, state] = numbers;
-        for (weights, numbers) in [(&mut self.first, first), (&mut self.second, second)] {
-            set(weights, numbers);
-            weights.chunks_exact_mut(mixing).for_each(|row| nonnegative(shape.nonnegative, row));
-        }
-        set(&mut self.hidden, bias);
-        set(&mut self.values, state);
-        if shape.bias_nonnegative {
-            let biases = self.hidden.iter_mut().chain(&mut self.values);
-            biases.for_each(|bias| *bias = bias.abs());
-        }
-        let mut agents = self.first.chunks_exact(mixing).zip(utilities);
-        let layers = self.hidden.chunks_exact_mut(mixing).zip(self.second.chunks_exact(mixing));
-        for ((size, value), (hidden, second)) in teams.sizes().zip(&mut self.values).zip(layers) {
-            for (first, utility) in agents.by_ref().take(size) {
-                hidden.iter_mut().zip(first).for_each(|(x, w)| *x += utility * w);
-            }
-            hidden.iter_mut().for_each(|x| *x = elu(*x));
-            *value += second.iter().zip(&*hidden).map(|(w, x)| w * x).sum::<f32>();
-        }
-        &self.values
-    }
-
-    /// Writes the slopes of a loss whose slope by the values of the last forward pass is `d_values`.
-    pub(super) fn backward(
-        &self,
-        shape: MixerShape,
-        teams: &TeamLists,
-        utilities: &[f32],
-        d_values: &[f32],
-        gradient: &mut MixingGradient,
-    ) {
-        let mixing = shape.hypernetwork.mixing;
-        let MixingGradient {
-            numbers: [d_first, d_bias, d_second, d_state],
-            utilities: d_utilities,
-        } = gradient;
-        d_first.resize(utilities.len() * mixing, 0.0);
-        d_bias.resize(d_values.len() * mixing, 0.0);
-        d_second.resize(d_values.len() * mixing, 0.0);
-        set(d_state, d_values);
-        d_utilities.resize(utilities.len(), 0.0);
-
-        let mut agents = self.first.chunks_exact(mixing).zip(utilities);
-        let mut d_agents = d_first.chunks_exact_mut(mixing).zip(&mut *d_utilities);
-        let layers = self.hidden.chunks_exact(mixing).zip(self.second.chunks_exact(mixing));
-        let d_layers = d_bias.chunks_exact_mut(mixing).zip(d_second.chunks_exact_mut(mixing));
-        for (((size, d_value), (hidden, second)), (d_hidden, d_second)) in
-            teams.sizes().zip(d_values).zip(layers).zip(d_layers)
-        {
-            for (((d_x, d_w), x), w) in d_hidden.iter_mut().zip(d_second).zip(hidden).zip(second) {
-                *d_w = d_value * x;
-                *d_x = d_value * w * elu_slope(*x);
-            }
-            for ((first, utility), (d_first, d_utility)) in
-                agents.by_ref().zip(d_agents.by_ref()).take(size)
-            {
-                *d_utility = first.iter().zip(&*d_hidden).map(|(w, d)| w * d).sum();
-                d_first.iter_mut().zip(&*d_hidden).for_each(|(d_w, d)| *d_w = utility * d);
-            }
-        }
-        let [raw_first, raw_bias, raw_second, raw_state] = &self.raw;
-        for (weights, raw, slopes) in
-            [(&self.first, raw_first, &mut *d_first), (&self.second, raw_second, &mut *d_second)]
-        {
-            let rows = weights.chunks_exact(mixing).zip(raw.chunks_exact(mixing));
-            for ((weights, raw), slopes) in rows.zip(slopes.chunks_exact_mut(mixing)) {
-                match shape.nonnegative {
-                    Nonnegative::Softmax => softmax::backward(weights, slopes),
-                    Nonnegative::Absolute => turn_signs(raw, slopes),
-                }
-            }
-        }
-        if shape.bias_nonnegative {
-            turn_signs(raw_bias, d_bias);
-            turn_signs(raw_state, d_state);
-        }
-    }
-}
-
-fn set(vector: &mut Vec<f32>, values: &[f32]) {
-    vector.clear();
-    vector.extend_from_slice(values);
-}
-
-fn nonnegative(how: Nonnegative, row: &mut [f32]) {
-    match how {
-        Nonnegative::Softmax => softmax::forward(row),
-        Nonnegative::Absolute => row.iter_mut().for_each(|weight| *weight = weight.abs()),
-    }
-}
-
-/// Turns slopes by absolute values into slopes by what they were taken of.
-fn turn_signs(raw: &[f32], slopes: &mut [f32]) {
-    for (slope, raw) in slopes.iter_mut().zip(raw) {
-        *slope *= if *raw < 0.0 { -1.0 } else { 1.0 };
-    }
-}
-
-fn elu(x: f32) -> f32 {
-    if x > 0.0 { x } else { x.exp_m1() }
-}
-
-/// Its slope where it gave `y`.
-fn elu_slope(y: f32) -> f32 {
-    if y > 0.0 { 1.0 } else { y + 1.0 }
 }

@@ -5,12 +5,11 @@
 //! subtask; values follow double-Q targets in PopArt's units, by RMSprop. Without subtasks there is one
 //! team and the reward of the whole.
 //!
-//! A step is computed in chunks of states that fit the cache, in a fixed number of lanes with gradients
-//! of their own, which are added in order: results depend neither on the number of threads nor on time.
+//! A step is computed window by window, in a fixed number of lanes with gradients of their own, which are
+//! added in order: results depend neither on the number of threads nor on time.
 
+mod agents;
 pub mod coaching;
-mod hypernetwork;
-mod looking;
 mod mixer;
 mod step;
 mod teams;
@@ -18,31 +17,32 @@ mod values;
 
 use std::time::Duration;
 
+use rand_core::Rng;
 use sortie_nn::lanes::in_lanes;
+use sortie_nn::layers::elementwise;
+use sortie_nn::layers::gru::lengths;
+use sortie_nn::layers::matrix::Store;
 use sortie_nn::optimise::{RmsProp, clip_norm};
 use sortie_nn::random::Generator;
 
 use super::popart::PopArt;
 use super::{LowLevelTimes, Stopwatch, WindowShape, Windows};
-use crate::alma::agents::{Conditioning, TaskOrder, UtilityNetwork};
+use crate::alma::agents::{TaskOrder, UtilityNetwork, drawn};
+use crate::alma::coach::Coach;
 use crate::alma::teams::Agents;
-use coaching::{CoachConfig, Coaching, Held, Told};
-use looking::Recurrent;
-use step::{Bootstrap, Descent, Lane, Side, Step};
+use coaching::{CoachConfig, Coaching};
+use step::{Comparison, Lane, Layers, Side, Step};
 
 pub use super::config::{LowLevelConfig, Nonnegative, PopArtOrder};
-pub use hypernetwork::{
-    HypernetworkGradient, HypernetworkPass, HypernetworkShape, Merged, MixerInput, Mode,
+pub use mixer::{
+    HYPERNETWORKS, HypernetworkLayers, HypernetworkShape, Mixer, MixerInput, MixerShape, Mode,
 };
-pub use mixer::{HYPERNETWORKS, MergedMixer, Mixer, MixerGradient, MixerPass, MixerShape};
 pub use step::Term;
 pub use teams::is_available;
 pub use values::{agent_utilities, team_input, team_values};
 
 /// Parts of a step with gradients of their own.
 const LANES: usize = 8;
-/// States that a lane computes at a time: few enough for their activations to stay in cache.
-const CHUNK: usize = 32;
 
 /// Agents and the mixer of their utilities.
 #[derive(Clone, Debug, PartialEq)]
@@ -103,11 +103,7 @@ impl LowLevel {
     /// A learner with new networks. Of the sizes those of the environment count, not those of a batch.
     pub fn new(config: LowLevelConfig, sizes: WindowShape, generator: &mut Generator) -> Self {
         let agents = values::initialise_agents(&config, sizes, generator);
-        let gru = if config.recurrent {
-            looking::initialise_unit(config.base, generator)
-        } else {
-            vec![]
-        };
+        let gru = if config.recurrent { initialise_unit(config.base, generator) } else { vec![] };
         let online = LowLevelNetworks {
             agents,
             gru,
@@ -116,15 +112,14 @@ impl LowLevel {
         };
         let agents = online.agents.parameters().len();
         let counts = [agents, online.gru.len(), online.mixer.parameters().len()];
-        let lane = Lane::new(&online.agents, &online.gru, &online.mixer);
         Self {
             config,
             sizes,
             target: online.clone(),
             optimisers: counts.map(RmsProp::new),
             coaching: None,
-            lanes: vec![lane; LANES],
-            gradient: vec![0.0; counts.iter().sum()],
+            lanes: vec![Lane::default(); LANES],
+            gradient: Vec::new(),
             optimiser_time: Duration::ZERO,
             online,
         }
@@ -137,10 +132,7 @@ impl LowLevel {
         let LowLevelConfig { conditioning, recurrent, .. } = self.config;
         assert!(!conditioning.has_subtasks() && !recurrent, "agents that take no coach");
         let shape = self.config.coach(self.sizes);
-        let coaching = Coaching::new(config, shape, self.sizes.actions, generator);
-        let own = self.optimisers.iter().map(|optimiser| optimiser.square.len()).sum::<usize>();
-        self.gradient.resize(own + coaching.parameters(), 0.0);
-        self.coaching = Some(coaching);
+        self.coaching = Some(Coaching::new(config, shape, self.sizes.actions, generator));
     }
 
     /// The switches and rates.
@@ -159,11 +151,8 @@ impl LowLevel {
 
     /// Draws which marks stand for which subtasks, for one pass.
     pub fn draw_order(&self, generator: &mut Generator) -> TaskOrder {
-        if self.config.conditioning == Conditioning::Input {
-            TaskOrder::shuffled(self.sizes.tasks + self.config.extra_tasks, generator)
-        } else {
-            TaskOrder::identity(0)
-        }
+        let tasks = self.sizes.tasks + self.config.extra_tasks;
+        TaskOrder::shuffled(self.config.conditioning.task_columns(tasks), generator)
     }
 
     /// Copies the networks that learn to those that value what comes next.
@@ -198,33 +187,15 @@ impl LowLevel {
         let WindowShape { windows: count, steps, .. } = windows.shape;
         let sizes = WindowShape { windows: count, steps, ..self.sizes };
         assert_eq!(windows.shape, sizes, "windows of another environment");
-        let orders = [self.draw_order(generator), self.draw_order(generator)];
-        let mixer_order = TaskOrder::identity(sizes.tasks);
-        let step = Step { config: &self.config, windows, mixer_order: &mixer_order };
+        let mut step = self.begin(windows, generator);
         let states = step.states();
-        let merged = [self.online.mixer.merge(), self.target.mixer.merge()];
-        let [online_merged, target_merged] = &merged;
-        let [online_order, target_order] = &orders;
-        let Self { online, target, lanes, coaching, .. } = self;
-        lanes.iter_mut().for_each(Lane::begin);
-        let coaching = coaching.as_ref();
-        let told = coaching.map(|coaching| coaching.tell(windows, threads, lanes, generator));
-
-        let bootstrap = Bootstrap {
-            online: side(online, told.as_ref().map(Told::online), online_merged, online_order),
-            target: side(target, told.as_ref().map(Told::target), target_merged, target_order),
-            popart: &target.popart,
-        };
-        // Memories reach over a window.
-        let chunks: Vec<&[usize]> = if self.config.recurrent {
-            states.chunk_by(|a, b| a / steps == b / steps).collect()
-        } else {
-            states.chunks(CHUNK).collect()
-        };
-        let own = |lane: usize| chunks.iter().skip(lane).step_by(LANES);
+        let by_window: Vec<&[usize]> = states.chunk_by(|a, b| a / steps == b / steps).collect();
+        let own = |lane: usize| by_window.iter().skip(lane).step_by(LANES);
+        let Self { config, online, target, lanes, .. } = self;
+        lanes.iter_mut().for_each(|lane| lane.begin(step.online.parameters.len()));
         in_lanes(threads, lanes, |index, lane| {
             let mut watch = Stopwatch::start();
-            own(index).for_each(|states| step.value(&bootstrap, states, lane));
+            own(index).for_each(|states| step.value(&target.popart, states, lane));
             lane.targets_time += watch.lap();
         });
         let mut watch = Stopwatch::start();
@@ -234,36 +205,37 @@ impl LowLevel {
             return LowLevelReport::default();
         }
         let target_mean = all.clone().map(|term| term.target).sum::<f64>() / terms as f64;
-        let before = online.mixer.head();
-        let before = (before.0.to_vec(), before.1.to_vec());
+        let (weights, biases) = online.mixer.head();
+        let before = (weights.to_vec(), biases.to_vec());
         let rescale = online.popart.update(all.map(|term| (term.target, 1.0)));
         let (weights, biases) = online.mixer.head_mut();
         rescale.apply(weights, biases);
-
-        let head = match self.config.popart_order {
+        step.set_head(online.mixer.head());
+        let head = match config.popart_order {
             PopArtOrder::RescaleFirst => online.mixer.head(),
             PopArtOrder::Reference => (&*before.0, &*before.1),
         };
-        let side = side(online, told.as_ref().map(Told::online), online_merged, online_order);
-        let guess = coaching.zip(told.as_ref()).map(|(coaching, told)| coaching.guess(told));
-        let descent = Descent { online: side, popart: &online.popart, head, terms, guess };
+        let comparison = Comparison { popart: &online.popart, head, terms };
         self.optimiser_time += watch.lap();
         in_lanes(threads, lanes, |index, lane| {
             let mut watch = Stopwatch::start();
-            own(index).for_each(|states| step.descend(&descent, states, lane));
+            own(index).for_each(|states| step.descend(&comparison, states, lane));
             lane.descent_time += watch.lap();
         });
-        if let Some((coaching, told)) = coaching.zip(told.as_ref()) {
-            coaching.descend(told, windows, threads, lanes);
-        }
         let mut watch = Stopwatch::start();
-        self.add_lanes(online_merged);
+        let gradient = &mut self.gradient;
+        gradient.clear();
+        gradient.resize(step.online.parameters.len(), 0.0);
+        for lane in lanes.iter() {
+            elementwise::scale(1.0, &lane.gradient, Store::Add, gradient);
+        }
+        step.hand_back(&mut lanes[0].tape, gradient);
         self.optimiser_time += watch.lap();
         let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>() / terms as f64;
         LowLevelReport {
             terms,
             loss: sum(|lane| lane.sums.squared_error),
-            coach_loss: self.lanes.iter().map(|lane| lane.coach.loss).sum(),
+            coach_loss: self.lanes.iter().map(|lane| lane.sums.coach).sum(),
             error: sum(|lane| lane.sums.error),
             value: sum(|lane| lane.sums.value),
             target: target_mean,
@@ -271,19 +243,35 @@ impl LowLevel {
         }
     }
 
-    /// Adds the gradients of all lanes, in order.
-    fn add_lanes(&mut self, merged: &MergedMixer) {
-        let (first, rest) = self.lanes.split_first_mut().expect("at least one lane");
-        for lane in rest {
-            first.agents.iter_mut().zip(&lane.agents).for_each(|(sum, value)| *sum += value);
-            first.mixer.add(&lane.mixer);
-        }
-        let (agents, rest) = self.gradient.split_at_mut(first.agents.len());
-        let (mixer, coach) = rest.split_at_mut(self.online.mixer.parameters().len());
-        agents.copy_from_slice(&first.agents);
-        first.mixer.write(&self.online.mixer, merged, mixer);
-        if let Some(coaching) = &self.coaching {
-            coaching.write_gradient(&self.lanes, coach);
+    /// Draws the marks and seeds of a step, and puts the parameters of all networks behind each other.
+    fn begin<'a>(&mut self, windows: &'a Windows, generator: &mut Generator) -> Step<'a> {
+        let orders = [self.draw_order(generator), self.draw_order(generator)];
+        let Self { config, online, target, coaching, lanes, .. } = self;
+        let shapes = (online.agents.shape(), online.mixer.shape());
+        let layers = Layers::new(shapes, config.recurrent, coaching.as_ref());
+        let marks = coaching.as_ref().map_or(0, |coaching| coaching.online.shape().marks);
+        let [coach, target_coach, recognition_order] =
+            [0, 1, 2].map(|_| TaskOrder::shuffled(marks, generator));
+        let coaches = coaching.as_ref().map_or([&[][..]; 2], |coaching| {
+            [&coaching.online, &coaching.target].map(Coach::parameters)
+        });
+        let recognition = coaching.as_ref().map_or(&[][..], |it| it.recognition.parameters());
+        let mut side = |networks: &LowLevelNetworks, coach: &[f32], order, coach_order| {
+            let LowLevelNetworks { agents, gru, mixer, .. } = networks;
+            let own = [agents.parameters(), gru, mixer.parameters(), coach, recognition];
+            let mut parameters = own.concat();
+            layers.mixer.append_merged(&mut lanes[0].tape, &mut parameters);
+            Side { parameters, order, coach_order, seed: generator.next_u64() }
+        };
+        let [order, target_order] = orders;
+        Step {
+            config: config.clone(),
+            windows,
+            layers,
+            online: side(online, coaches[0], order, coach),
+            target: side(target, coaches[1], target_order, target_coach),
+            mixer_order: TaskOrder::identity(windows.shape.tasks),
+            recognition_order,
         }
     }
 
@@ -315,10 +303,9 @@ impl LowLevel {
         }
     }
 
-    /// Floating-point operations of all steps up to now: those of matrix products and attention, without
-    /// those of a coach.
+    /// Floating-point operations of all steps up to now: those of matrix products and attention.
     pub fn operations(&self) -> u64 {
-        self.lanes.iter().map(Lane::operations).sum()
+        self.lanes.iter().map(|lane| lane.operations).sum()
     }
 
     /// The last gradient: of the parameters of agents, recurrent unit, mixer, coach and
@@ -333,14 +320,9 @@ impl LowLevel {
     }
 }
 
-fn side<'a>(
-    networks: &'a LowLevelNetworks,
-    told: Option<Held<'a>>,
-    merged: &'a MergedMixer,
-    order: &'a TaskOrder,
-) -> Side<'a> {
-    let agents = Recurrent { network: &networks.agents, gru: &networks.gru };
-    Side { agents, told, mixer: &networks.mixer, merged, order }
+/// Draws a recurrent unit.
+fn initialise_unit(width: usize, generator: &mut Generator) -> Vec<f32> {
+    drawn(lengths(width).map(|length| (length, width)), generator)
 }
 
 fn norm(vector: &[f32]) -> f32 {

@@ -1,4 +1,4 @@
-//! One step of the low level over chunks of transitions: targets first, then gradients.
+//! One step of the low level over windows: targets first, then gradients.
 //!
 //! Dissertation section 7.3 and the public code. A term of the loss is a team in a state that a step of
 //! the same episode follows. Its target bootstraps from the next state with the team as it was: the
@@ -10,12 +10,13 @@
 
 use std::time::Duration;
 
-use super::coaching::{CoachLane, Guess, Held};
-use super::hypernetwork::MixerInput;
-use super::looking::{LookingPass, Recurrent};
-use super::mixer::{MergedMixer, Mixer, MixerGradient, MixerPass};
-use super::teams::{Marks, Teams, View, is_available, tasks_with_agents};
-use crate::alma::agents::{Conditioning, TaskOrder, UtilityNetwork};
+use sortie_nn::tape::{Pass, Places, Tape};
+
+use super::agents::AgentLayers;
+use super::coaching::{Coaching, CoachingLayers};
+use super::mixer::{MixerInput, MixerLayers, MixerShape};
+use super::teams::{Look, Teams, View, is_available, tasks_with_agents};
+use crate::alma::agents::{TaskOrder, UtilityShape};
 use crate::alma::records::config::ReturnsConfig;
 use crate::alma::windows::Windows;
 use crate::alma::windows::config::LowLevelConfig;
@@ -32,29 +33,60 @@ pub struct Term {
     pub target: f64,
 }
 
+/// All layers of a learner in one vector: agents, memory, mixer, coach and recognition, then the merged layers of the
+/// mixer.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Layers {
+    agents: AgentLayers,
+    pub(super) mixer: MixerLayers,
+    coaching: Option<CoachingLayers>,
+    /// Where the merged layers begin.
+    pub(super) merged: usize,
+    outputs: usize,
+}
+
+impl Layers {
+    pub(super) fn new(
+        (agents, mixer): (UtilityShape, MixerShape),
+        recurrent: bool,
+        coaching: Option<&Coaching>,
+    ) -> Self {
+        let places = &mut Places::default();
+        Self {
+            agents: AgentLayers::of(agents, recurrent, places),
+            mixer: MixerLayers::of(mixer, places),
+            coaching: coaching.map(|coaching| coaching.layers(places)),
+            merged: places.end,
+            outputs: mixer.outputs,
+        }
+    }
+}
+
 /// What values are computed with.
-pub(super) struct Side<'a> {
-    pub(super) agents: Recurrent<'a>,
-    /// What the agents have been told, if they have a coach.
-    pub(super) told: Option<Held<'a>>,
-    pub(super) mixer: &'a Mixer,
-    pub(super) merged: &'a MergedMixer,
-    pub(super) order: &'a TaskOrder,
+pub(super) struct Side {
+    /// As [`Layers`] has them.
+    pub(super) parameters: Vec<f32>,
+    /// Marks of the agents' input.
+    pub(super) order: TaskOrder,
+    /// Marks of the coach's input.
+    pub(super) coach_order: TaskOrder,
+    /// What strategies are drawn with.
+    pub(super) seed: u64,
 }
 
 /// What all lanes of a step read.
 pub(super) struct Step<'a> {
-    pub(super) config: &'a LowLevelConfig,
+    pub(super) config: LowLevelConfig,
     pub(super) windows: &'a Windows,
+    pub(super) layers: Layers,
+    /// The networks that learn.
+    pub(super) online: Side,
+    /// Those that value what comes next.
+    pub(super) target: Side,
     /// Marks of the mixer's input.
-    pub(super) mixer_order: &'a TaskOrder,
-}
-
-/// What targets are computed with.
-pub(super) struct Bootstrap<'a> {
-    pub(super) online: Side<'a>,
-    pub(super) target: Side<'a>,
-    pub(super) popart: &'a PopArt,
+    pub(super) mixer_order: TaskOrder,
+    /// Marks of the recognition's input.
+    pub(super) recognition_order: TaskOrder,
 }
 
 /// What comes behind the rewards of a term.
@@ -67,16 +99,13 @@ struct Bootstrapped {
     discount: f64,
 }
 
-/// What gradients are computed with.
-pub(super) struct Descent<'a> {
-    pub(super) online: Side<'a>,
+/// What values are compared with their targets by.
+pub(super) struct Comparison<'a> {
     pub(super) popart: &'a PopArt,
-    /// The head's weights and biases of the forward pass.
+    /// The head's weights and biases by which they are compared; gradients go through those that learn.
     pub(super) head: (&'a [f32], &'a [f32]),
     /// Terms of the whole loss.
     pub(super) terms: usize,
-    /// What shapes strategies, if agents have a coach.
-    pub(super) guess: Option<Guess<'a>>,
 }
 
 /// Sums over the terms of a lane.
@@ -85,79 +114,58 @@ pub(super) struct Sums {
     pub(super) squared_error: f64,
     pub(super) error: f64,
     pub(super) value: f64,
+    /// What a coach adds to the loss.
+    pub(super) coach: f64,
 }
 
 /// The part of a step that one lane does: its buffers and what it finds.
-#[derive(Clone, Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Lane {
+    pub(super) tape: Tape,
     teams: Teams,
-    agent_pass: LookingPass,
-    mixer_input: MixerInput,
-    mixer_pass: MixerPass,
-    actions: Vec<u8>,
-    utilities: Vec<f32>,
-    slopes: Vec<f32>,
-    bootstrapped: Vec<Bootstrapped>,
+    input: MixerInput,
     pub(super) terms: Vec<Term>,
     /// Terms whose gradients have been computed.
     done: usize,
     pub(super) sums: Sums,
-    pub(super) agents: Vec<f32>,
-    pub(super) mixer: MixerGradient,
-    pub(super) coach: CoachLane,
+    pub(super) gradient: Vec<f32>,
+    pub(super) operations: u64,
     pub(super) targets_time: Duration,
     pub(super) descent_time: Duration,
 }
 
-impl AsRef<CoachLane> for Lane {
-    fn as_ref(&self) -> &CoachLane {
-        &self.coach
-    }
-}
-
-impl AsMut<CoachLane> for Lane {
-    fn as_mut(&mut self) -> &mut CoachLane {
-        &mut self.coach
+impl Clone for Lane {
+    /// A lane of its own: what lanes hold is forgotten in the next step.
+    fn clone(&self) -> Self {
+        Self::default()
     }
 }
 
 impl Lane {
-    pub(super) fn new(agents: &UtilityNetwork, gru: &[f32], mixer: &Mixer) -> Self {
-        Self {
-            teams: Teams::default(),
-            agent_pass: LookingPass::new(agents.shape()),
-            mixer_input: MixerInput::default(),
-            mixer_pass: MixerPass::default(),
-            actions: Vec::new(),
-            utilities: Vec::new(),
-            slopes: Vec::new(),
-            bootstrapped: Vec::new(),
-            terms: Vec::new(),
-            done: 0,
-            sums: Sums::default(),
-            agents: vec![0.0; agents.parameters().len() + gru.len()],
-            mixer: MixerGradient::new(mixer.shape()),
-            coach: CoachLane::default(),
-            targets_time: Duration::ZERO,
-            descent_time: Duration::ZERO,
-        }
-    }
-
-    pub(super) fn operations(&self) -> u64 {
-        self.agent_pass.operations() + self.mixer_pass.operations()
-    }
-
-    /// Forgets the step before.
-    pub(super) fn begin(&mut self) {
+    /// Forgets the step before; there are so many parameters.
+    pub(super) fn begin(&mut self, parameters: usize) {
         self.terms.clear();
         self.done = 0;
         self.sums = Sums::default();
-        self.agents.fill(0.0);
-        self.mixer.clear();
+        self.gradient.clear();
+        self.gradient.resize(parameters, 0.0);
     }
 }
 
-impl Step<'_> {
+impl<'a> Step<'a> {
+    /// Has the gradient go through other weights and biases of the mixer's head.
+    pub(super) fn set_head(&mut self, (weights, biases): (&[f32], &[f32])) {
+        for (start, numbers) in self.layers.mixer.head.into_iter().zip([weights, biases]) {
+            self.online.parameters[start..start + numbers.len()].copy_from_slice(numbers);
+        }
+    }
+
+    /// Takes the gradient of the merged layers to that of what they follow from.
+    pub(super) fn hand_back(&self, tape: &mut Tape, gradient: &mut Vec<f32>) {
+        let Layers { mixer, merged, .. } = self.layers;
+        mixer.hand_back(tape, &self.online.parameters, (merged, gradient));
+    }
+
     /// The states that can be learned from.
     pub(super) fn states(&self) -> Vec<usize> {
         let live = |state: &usize| self.leads_on(*state) && self.tasks(*state).next().is_some();
@@ -172,7 +180,7 @@ impl Step<'_> {
 
     /// The subtasks of a state that can be learned from: unfinished, with agents; without subtasks,
     /// everybody.
-    fn tasks(&self, state: usize) -> impl Iterator<Item = Option<usize>> {
+    fn tasks(&self, state: usize) -> impl Iterator<Item = Option<usize>> + use<'a> {
         let windows = self.windows;
         let subtasks = self.config.conditioning.has_subtasks();
         let tasks = if subtasks { windows.shape.tasks } else { 0 };
@@ -219,65 +227,89 @@ impl Step<'_> {
         self.leads_on(state + 1) && now.eq(windows.allocation(state + 1).iter().map(works))
     }
 
-    fn agent_marks<'o>(&self, order: &'o TaskOrder) -> (Conditioning, Marks<'o>) {
-        let conditioning = self.config.conditioning;
-        (conditioning, (conditioning == Conditioning::Input).then_some(&*order.0))
+    fn look<'o>(&self, view: View, order: &'o TaskOrder) -> Look<'o>
+    where
+        'a: 'o,
+    {
+        Look::new((self.windows, view), self.config.conditioning, order)
     }
 
-    /// Adds the terms of some states to a lane, with their targets.
-    pub(super) fn value(&self, networks: &Bootstrap<'_>, states: &[usize], lane: &mut Lane) {
-        let windows = self.windows;
-        lane.teams.clear();
-        lane.bootstrapped.clear();
+    /// Adds the terms of some states of a window to a lane, with their targets.
+    pub(super) fn value(&self, popart: &PopArt, states: &[usize], lane: &mut Lane) {
+        let (windows, actions) = (self.windows, self.windows.shape.actions);
+        let bootstrapped = self.list_terms(states, &mut lane.terms);
+        let Lane { tape, teams, input, .. } = lane;
+        teams.clear();
+        for Bootstrapped { state, task, .. } in &bootstrapped {
+            teams.push(View::NEXT_AS_BEFORE.of(windows, *state), *state, *task);
+        }
+        let Some(window) = bootstrapped.first().map(|first| first.state / windows.shape.steps)
+        else {
+            return;
+        };
+        let told = |t: &mut Pass<'_>, side: &Side, teams: &Teams| {
+            let agents = teams.agents().map(|(state, agent)| (state + 1, agent));
+            let drawn = (&side.coach_order, side.seed);
+            self.layers.coaching.map(|it| it.tell(t, (windows, window), drawn, agents).strategies)
+        };
+
+        let mut t = tape.begin(&self.online.parameters);
+        let strategies = told(&mut t, &self.online, teams);
+        let look = self.look(View::NEXT, &self.online.order);
+        let utilities = self.layers.agents.utilities(&mut t, look, teams, strategies);
+        let rows = t.values(utilities).chunks_exact(actions).zip(teams.agents());
+        let best = rows.map(|(row, (state, agent))| {
+            let codes = ((state + 1) * windows.shape.agents + agent) * actions;
+            let codes = &windows.available[codes..][..actions];
+            self.best_action(row, codes, agent, windows.allocation(state))
+        });
+        let best: Vec<u32> = best.collect();
+        lane.operations += t.operations(false);
+
+        let mut t = tape.begin(&self.target.parameters);
+        let strategies = told(&mut t, &self.target, teams);
+        let look = self.look(View::NEXT_AS_BEFORE, &self.target.order);
+        let utilities = self.layers.agents.utilities(&mut t, look, teams, strategies);
+        let chosen = t.pick(utilities, &best);
+        teams.write_mixer(self.look(View::NEXT_AS_BEFORE, &self.mixer_order), input);
+        let values = self.layers.mixer.mix(&mut t, self.layers.merged, input, chosen);
+        let outputs = bootstrapped.iter().map(|it| self.output(it.task.unwrap_or(0)));
+        let values = self.layers.mixer.head(&mut t, values, &outputs.collect::<Vec<_>>());
+        for (value, Bootstrapped { term, discount, .. }) in
+            t.values(values).iter().zip(&bootstrapped)
+        {
+            lane.terms[*term].target += discount * popart.denormalise(f64::from(*value));
+        }
+        lane.operations += t.operations(false);
+    }
+
+    /// The output of the head that values a subtask.
+    fn output(&self, task: usize) -> u32 {
+        (task % self.layers.outputs) as u32
+    }
+
+    /// Adds the terms of some states with their rewards; lists those that bootstrap, teams of a state together.
+    fn list_terms(&self, states: &[usize], terms: &mut Vec<Term>) -> Vec<Bootstrapped> {
+        let mut bootstrapped = Vec::new();
         for state in states {
             for task in self.tasks(*state) {
                 let (target, last) = self.returns(*state, task);
-                let term = lane.terms.len();
-                lane.bootstrapped.extend(last.map(|(state, discount)| Bootstrapped {
+                let term = terms.len();
+                bootstrapped.extend(last.map(|(state, discount)| Bootstrapped {
                     state,
                     task,
                     term,
                     discount,
                 }));
-                lane.terms.push(Term { state: *state, task: task.unwrap_or(0), target });
+                terms.push(Term { state: *state, task: task.unwrap_or(0), target });
             }
         }
-        // Teams of a state stand together.
-        lane.bootstrapped.sort_by_key(|bootstrapped| bootstrapped.state);
-        for Bootstrapped { state, task, .. } in &lane.bootstrapped {
-            lane.teams.push(View::NEXT_AS_BEFORE.of(windows, *state), *state, *task);
-        }
-
-        let Bootstrap { online, target, popart } = networks;
-        let Lane { teams, agent_pass, mixer_input, .. } = lane;
-        let (look, marks) = ((windows, View::NEXT), self.agent_marks(online.order));
-        let players = (online.agents, online.told);
-        let utilities = agent_pass.forward(players, look, marks, teams);
-        let rows = utilities.chunks_exact(windows.shape.actions);
-        lane.actions.clear();
-        lane.actions.extend(rows.zip(teams.agents()).map(|(row, (state, agent))| {
-            let codes = ((state + 1) * windows.shape.agents + agent) * windows.shape.actions;
-            let codes = &windows.available[codes..][..windows.shape.actions];
-            self.best_action(row, codes, agent, windows.allocation(state))
-        }));
-
-        let view = (windows, View::NEXT_AS_BEFORE);
-        let marks = self.agent_marks(target.order);
-        let players = (target.agents, target.told);
-        let utilities = agent_pass.forward(players, view, marks, teams);
-        pick(utilities, windows.shape.actions, lane.actions.iter(), &mut lane.utilities);
-        teams.write_mixer(view, self.agent_marks(self.mixer_order), mixer_input);
-        let (mixer, merged) = (target.mixer, target.merged);
-        let values = lane.mixer_pass.forward(mixer, merged, mixer_input, &lane.utilities);
-        for (raw, bootstrapped) in values.iter().zip(&lane.bootstrapped) {
-            let term = &mut lane.terms[bootstrapped.term];
-            let value = popart.denormalise(f64::from(head(mixer.head(), term.task, *raw)));
-            term.target += bootstrapped.discount * value;
-        }
+        bootstrapped.sort_by_key(|bootstrapped| bootstrapped.state);
+        bootstrapped
     }
 
     /// The best available action, the first of equals.
-    fn best_action(&self, row: &[f32], codes: &[u16], agent: usize, allocation: &[u8]) -> u8 {
+    fn best_action(&self, row: &[f32], codes: &[u16], agent: usize, allocation: &[u8]) -> u32 {
         let by_task = self.config.task_availability;
         let open = |code: u16| {
             if by_task { is_available(code, agent, allocation) } else { code > 0 }
@@ -291,12 +323,10 @@ impl Step<'_> {
         best.1
     }
 
-    /// Adds to a lane the gradients of its next terms, which are those of some states.
-    pub(super) fn descend(&self, networks: &Descent<'_>, states: &[usize], lane: &mut Lane) {
-        let windows = self.windows;
-        let actions = windows.shape.actions;
-        let Descent { online, popart, .. } = networks;
-        let Lane { teams, agent_pass, mixer_input, mixer_pass, slopes, .. } = lane;
+    /// Adds to a lane the gradients of its next terms, which are those of some states of a window.
+    pub(super) fn descend(&self, comparison: &Comparison<'_>, states: &[usize], lane: &mut Lane) {
+        let (windows, shape) = (self.windows, self.windows.shape);
+        let Lane { tape, teams, input, sums, .. } = lane;
         teams.clear();
         for state in states {
             for task in self.tasks(*state) {
@@ -306,62 +336,48 @@ impl Step<'_> {
         let terms = &lane.terms[lane.done..][..teams.each().count()];
         lane.done += terms.len();
 
-        let view = (windows, View::NOW);
-        let marks = self.agent_marks(online.order);
-        let players = (online.agents, online.told);
-        let utilities = agent_pass.forward(players, view, marks, teams);
-        let taken = |(state, agent)| &windows.actions[state * windows.shape.agents + agent];
-        pick(utilities, actions, teams.agents().map(taken), &mut lane.utilities);
-        teams.write_mixer(view, self.agent_marks(self.mixer_order), mixer_input);
-        let mixer = online.mixer;
-        let values = mixer_pass.forward(mixer, online.merged, mixer_input, &lane.utilities);
-
-        slopes.clear();
-        let outputs = mixer.shape().outputs;
-        for (raw, term) in values.iter().zip(terms) {
-            let value = head(networks.head, term.task, *raw);
-            let error = f64::from(value) - popart.normalise(term.target);
-            lane.sums.squared_error += error * error;
-            lane.sums.error += error.abs();
-            lane.sums.value += f64::from(value);
-            let slope = (2.0 * error / networks.terms as f64) as f32;
-            let output = term.task % outputs;
-            lane.mixer.head[output] += slope * raw;
-            lane.mixer.head[outputs + output] += slope;
-            slopes.push(slope * mixer.head().0[output]);
+        let mut t = tape.begin(&self.online.parameters);
+        let told = self.layers.coaching.map(|coaching| {
+            let drawn = (&self.online.coach_order, self.online.seed);
+            let window = states[0] / shape.steps;
+            (coaching, coaching.tell(&mut t, (windows, window), drawn, teams.agents()))
+        });
+        let look = self.look(View::NOW, &self.online.order);
+        let strategies = told.map(|(_, told)| told.strategies);
+        let utilities = self.layers.agents.utilities(&mut t, look, teams, strategies);
+        let taken =
+            teams.agents().map(|(state, agent)| windows.actions[state * shape.agents + agent]);
+        let chosen = t.pick(utilities, &taken.map(u32::from).collect::<Vec<_>>());
+        teams.write_mixer(self.look(View::NOW, &self.mixer_order), input);
+        let raw = self.layers.mixer.mix(&mut t, self.layers.merged, input, chosen);
+        let outputs: Vec<u32> = terms.iter().map(|term| self.output(term.task)).collect();
+        let slopes = compare(comparison, t.values(raw).iter().zip(&outputs).zip(terms), sums);
+        let values = self.layers.mixer.head(&mut t, raw, &outputs);
+        let mut loss = t.weighted_sum(values, &slopes);
+        if let Some((coaching, told)) = told {
+            let order = (windows, &self.recognition_order);
+            let own = coaching.loss(&mut t, order, (states, comparison.terms), told);
+            sums.coach += f64::from(t.values(own)[0]);
+            loss = t.add(loss, own);
         }
-        let tensors = (&*lane.utilities, &**slopes);
-        let d_chosen =
-            mixer_pass.backward(mixer, online.merged, mixer_input, tensors, &mut lane.mixer);
-        slopes.clear();
-        slopes.resize(d_chosen.len() * actions, 0.0);
-        for ((row, slope), agent) in
-            slopes.chunks_exact_mut(actions).zip(d_chosen).zip(teams.agents())
-        {
-            row[usize::from(*taken(agent))] = *slope;
-        }
-        let Some(guess) = networks.guess else {
-            return agent_pass.backward(online.agents, slopes, &mut lane.agents);
-        };
-        let d_told = agent_pass.backward_told(online.agents, slopes, &mut lane.agents);
-        guess.descend(windows, (states, networks.terms), d_told, &mut lane.coach);
+        t.backward(loss, &mut lane.gradient);
+        lane.operations += t.operations(true);
     }
 }
 
-/// A value in normalised units: the head's output of a subtask.
-fn head((weights, biases): (&[f32], &[f32]), task: usize, raw: f32) -> f32 {
-    let output = task % weights.len();
-    weights[output] * raw + biases[output]
-}
-
-/// Writes the utilities of chosen actions.
-fn pick<'a>(
-    utilities: &[f32],
-    actions: usize,
-    chosen: impl Iterator<Item = &'a u8>,
-    picked: &mut Vec<f32>,
-) {
-    picked.clear();
-    let rows = utilities.chunks_exact(actions).zip(chosen);
-    picked.extend(rows.map(|(row, action)| row[usize::from(*action)]));
+/// The slopes of the loss by the values of some terms, which come with their values before the head and its outputs.
+fn compare<'t>(
+    Comparison { popart, head: (weights, biases), terms }: &Comparison<'_>,
+    compared: impl Iterator<Item = ((&'t f32, &'t u32), &'t Term)>,
+    sums: &mut Sums,
+) -> Vec<f32> {
+    let slope = |((raw, output), term): ((&f32, &u32), &Term)| {
+        let value = weights[*output as usize] * raw + biases[*output as usize];
+        let error = f64::from(value) - popart.normalise(term.target);
+        sums.squared_error += error * error;
+        sums.error += error.abs();
+        sums.value += f64::from(value);
+        (2.0 * error / *terms as f64) as f32
+    };
+    compared.map(slope).collect()
 }

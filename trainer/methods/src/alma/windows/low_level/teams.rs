@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use sortie_nn::layers::SparseRows;
 
-use super::hypernetwork::MixerInput;
-use crate::alma::agents::{Conditioning, UtilityInput};
+use super::mixer::MixerInput;
+use crate::alma::agents::{Conditioning, TaskOrder, UtilityInput};
 use crate::alma::windows::{NO_ACTION, NO_TASK, Windows};
 
 /// One state, seen with the subtasks that hold at a state: usually the same, or the one before.
@@ -152,6 +152,37 @@ impl View {
     }
 }
 
+/// States in a view, and how subtasks are seen there.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Look<'a> {
+    pub(super) windows: &'a Windows,
+    pub(super) view: View,
+    conditioning: Conditioning,
+    marks: Marks<'a>,
+}
+
+impl<'a> Look<'a> {
+    /// With the marks of this order, where entities are marked.
+    pub(super) fn new(
+        (windows, view): (&'a Windows, View),
+        conditioning: Conditioning,
+        order: &'a TaskOrder,
+    ) -> Self {
+        let marks = (conditioning == Conditioning::Input).then_some(&*order.0);
+        Self { windows, view, conditioning, marks }
+    }
+
+    /// The same in another view.
+    pub(super) fn in_view(self, view: View) -> Self {
+        Self { view, ..self }
+    }
+
+    /// Whether an entity belongs to a subtask: all do, unless subtasks mask.
+    fn belongs(self, scene: Scene<'_>, entity: usize, task: usize) -> bool {
+        self.conditioning != Conditioning::Mask || usize::from(scene.task(entity)) == task
+    }
+}
+
 /// The agents that work on a subtask in a state; without subtasks, all of a state.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Team {
@@ -202,25 +233,20 @@ impl Teams {
     }
 
     /// Writes what the agents see: with the subtask mask only those of their subtask.
-    pub(super) fn write_agents(
-        &mut self,
-        (windows, view): (&Windows, View),
-        (conditioning, marks): (Conditioning, Marks<'_>),
-        input: &mut UtilityInput,
-    ) {
+    pub(super) fn write_agents(&mut self, look: Look<'_>, input: &mut UtilityInput) {
         input.clear();
         for (state, agent) in self.agents() {
-            view.of(windows, state).write(agent, marks, &mut input.rows);
+            look.view.of(look.windows, state).write(agent, look.marks, &mut input.rows);
         }
         let Self { teams, agents, places } = self;
         for scene_teams in teams.chunk_by(|a, b| a.state == b.state) {
-            let (scene, own) = begin(windows, view, scene_teams, agents, places);
+            let (scene, own) = begin(look, scene_teams, agents, places);
             for agent in own.iter().copied().map(usize::from) {
-                for entity in 0..windows.shape.entities {
-                    let masked = conditioning == Conditioning::Mask;
+                let masked = look.conditioning == Conditioning::Mask;
+                for entity in 0..look.windows.shape.entities {
                     if scene.observes(agent, entity) && (!masked || scene.share_task(agent, entity))
                     {
-                        let row = places.row(scene, entity, marks, &mut input.rows);
+                        let row = places.row(scene, entity, look.marks, &mut input.rows);
                         input.visible.push(row);
                     }
                 }
@@ -231,27 +257,19 @@ impl Teams {
 
     /// Writes what the mixer sees: everything that exists, with the subtask mask what belongs to a
     /// team's subtask.
-    pub(super) fn write_mixer(
-        &mut self,
-        (windows, view): (&Windows, View),
-        (conditioning, marks): (Conditioning, Marks<'_>),
-        input: &mut MixerInput,
-    ) {
+    pub(super) fn write_mixer(&mut self, look: Look<'_>, input: &mut MixerInput) {
         input.rows.clear();
         input.teams.clear();
         for (state, agent) in self.agents() {
-            view.of(windows, state).write(agent, marks, &mut input.rows);
+            look.view.of(look.windows, state).write(agent, look.marks, &mut input.rows);
         }
         let Self { teams, agents, places } = self;
         for scene_teams in teams.chunk_by(|a, b| a.state == b.state) {
-            let (scene, _) = begin(windows, view, scene_teams, agents, places);
+            let (scene, _) = begin(look, scene_teams, agents, places);
             for team in scene_teams {
-                for entity in 0..windows.shape.entities {
-                    let masked = conditioning == Conditioning::Mask;
-                    if scene.present(entity)
-                        && (!masked || usize::from(scene.task(entity)) == team.task)
-                    {
-                        let row = places.row(scene, entity, marks, &mut input.rows);
+                for entity in 0..look.windows.shape.entities {
+                    if scene.present(entity) && look.belongs(scene, entity, team.task) {
+                        let row = places.row(scene, entity, look.marks, &mut input.rows);
                         input.teams.push(row);
                     }
                 }
@@ -263,16 +281,15 @@ impl Teams {
 
 /// Begins the state of some teams; returns what there is to see and their agents.
 fn begin<'a, 'w>(
-    windows: &'w Windows,
-    view: View,
+    look: Look<'w>,
     teams: &[Team],
     agents: &'a [u8],
     places: &mut Places,
 ) -> (Scene<'w>, &'a [u8]) {
     let span = teams[0].agents.start..teams[teams.len() - 1].agents.end;
     let own = &agents[span.clone()];
-    places.begin(windows.shape.entities, span.start, own);
-    (view.of(windows, teams[0].state), own)
+    places.begin(look.windows.shape.entities, span.start, own);
+    (look.view.of(look.windows, teams[0].state), own)
 }
 
 /// The subtask of every agent at a state, of those that have one.

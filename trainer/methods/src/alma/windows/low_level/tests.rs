@@ -6,6 +6,7 @@ use sortie_nn::layers::SparseRows;
 use sortie_nn::random::signed_unit;
 
 use super::*;
+use crate::alma::agents::Conditioning;
 use crate::alma::records::config::ReturnsConfig;
 use crate::alma::windows::{NO_ACTION, NO_TASK};
 use sortie_learn::random::{Purpose, generator};
@@ -32,7 +33,7 @@ fn learner(config: LowLevelConfig, sizes: WindowShape) -> LowLevel {
     let other = &mut generator(2, Purpose::Weights, 0);
     learner.target.agents = values::initialise_agents(&learner.config, sizes, other);
     if learner.config.recurrent {
-        learner.target.gru = looking::initialise_unit(learner.config.base, other);
+        learner.target.gru = initialise_unit(learner.config.base, other);
     }
     learner.target.mixer = Mixer::initialise(learner.config.mixer(sizes), other);
     learner
@@ -207,7 +208,7 @@ fn any_number_of_threads_gives_the_same_bits() {
             let config = LowLevelConfig { recurrent, ..config(conditioning) };
             let mut learner = learner(config, sizes);
             let reports = [0, 1].map(|_| learner.learn(&windows, threads, &mut draws()));
-            assert!(reports[0].terms > 4 * CHUNK);
+            assert!(reports[0].terms > 100);
             (reports, learner.online, learner.optimisers)
         });
         assert_eq!(learned[0], learned[1]);

@@ -9,11 +9,11 @@
 use std::ops::Range;
 
 use sortie_nn::random::Generator;
+use sortie_nn::tape::{Places, Tape};
 
-use super::hypernetwork::{HypernetworkShape, MixerInput};
-use super::looking::{LookingPass, Recurrent};
-use super::mixer::{Mixer, MixerPass, MixerShape};
-use super::teams::{Teams, View};
+use super::agents::AgentLayers;
+use super::mixer::{HypernetworkShape, Mixer, MixerInput, MixerLayers, MixerShape};
+use super::teams::{Look, Teams, View};
 use crate::alma::agents::{Conditioning, TaskOrder, UtilityNetwork, UtilityShape};
 use crate::alma::coach::CoachShape;
 use crate::alma::teams::Agents;
@@ -90,17 +90,19 @@ pub fn agent_utilities(
     conditioning: Conditioning,
     order: &TaskOrder,
 ) -> Vec<f32> {
-    let marks = (conditioning == Conditioning::Input).then_some(&*order.0);
-    let recurrent = Recurrent { network: agents.network, gru: agents.memory_unit };
-    let mut pass = LookingPass::new(agents.network.shape());
-    let (look, conditioning) = ((windows, View::NOW), (conditioning, marks));
+    let parameters = [agents.network.parameters(), agents.memory_unit].concat();
+    let recurrent = !agents.memory_unit.is_empty();
+    let layers = AgentLayers::of(agents.network.shape(), recurrent, &mut Places::default());
+    let look = Look::new((windows, View::NOW), conditioning, order);
     let WindowShape { windows: count, steps, agents, actions, .. } = windows.shape;
     let mut utilities = vec![0.0; windows.shape.states() * agents * actions];
+    let mut tape = Tape::default();
     for window in 0..count {
         let states = window * steps..(window + 1) * steps;
         let mut teams = teams(windows, states, Conditioning::None);
-        let rows = pass.forward((recurrent, None), look, conditioning, &mut teams);
-        for (row, (state, agent)) in rows.chunks_exact(actions).zip(teams.agents()) {
+        let mut t = tape.begin(&parameters);
+        let rows = layers.utilities(&mut t, look, &mut teams, None);
+        for (row, (state, agent)) in t.values(rows).chunks_exact(actions).zip(teams.agents()) {
             utilities[(state * agents + agent) * actions..][..actions].copy_from_slice(row);
         }
     }
@@ -128,9 +130,8 @@ pub fn team_input(
 ) -> (MixerInput, Vec<(usize, usize)>) {
     let mut teams = teams(windows, 0..windows.shape.states(), conditioning);
     let order = TaskOrder::identity(windows.shape.tasks);
-    let marks = (conditioning == Conditioning::Input).then_some(&*order.0);
     let mut input = MixerInput::default();
-    teams.write_mixer((windows, View::NOW), (conditioning, marks), &mut input);
+    teams.write_mixer(Look::new((windows, View::NOW), conditioning, &order), &mut input);
     (input, teams.agents().collect())
 }
 
@@ -144,9 +145,14 @@ pub fn team_values(
 ) -> Vec<f32> {
     let (input, agents) = team_input(windows, conditioning);
     let own = agents.iter().map(|(state, agent)| utilities[state * windows.shape.agents + agent]);
-    let mut pass = MixerPass::default();
-    let values = pass.forward(mixer, &mixer.merge(), &input, &own.collect::<Vec<f32>>()).to_vec();
-    let (weights, biases) = mixer.head();
-    let heads = weights.iter().zip(biases).cycle();
-    values.iter().zip(heads).map(|(value, (weight, bias))| weight * value + bias).collect()
+    let own: Vec<f32> = own.collect();
+    let (mut tape, mut parameters) = (Tape::default(), mixer.parameters().to_vec());
+    let layers = MixerLayers::of(mixer.shape(), &mut Places::default());
+    layers.append_merged(&mut tape, &mut parameters);
+    let mut t = tape.begin(&parameters);
+    let utilities = t.input(1, &own);
+    let values = layers.mix(&mut t, mixer.parameters().len(), &input, utilities);
+    let outputs = (0..mixer.shape().outputs as u32).cycle().take(input.teams.teams());
+    let values = layers.head(&mut t, values, &outputs.collect::<Vec<_>>());
+    t.values(values).to_vec()
 }

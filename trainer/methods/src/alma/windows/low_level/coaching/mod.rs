@@ -1,25 +1,30 @@
 //! How a coach learns what to tell its players.
 //!
-//! A recognition network that is of use in training only guesses the strategy back from what the agents
-//! see and do, so that strategies differ where actions do, and a term keeps the coach from telling with
-//! certainty too early.
+//! Strategies are drawn where they are decided, and held until the next decision, at most to the end of a window. A
+//! recognition network that is of use in training only guesses the strategy that an agent holds from what it sees and
+//! does, so that strategies differ where actions do: the logarithm of the guess's density is to be large, and so is, a
+//! tenth as much, the entropy of what the strategy was drawn from, which keeps the coach from telling with certainty too
+//! early. Both are sums over a strategy's numbers, and means over the agents of a state and over the states that can be
+//! learned from, as in the public code.
 
-mod loss;
 #[cfg(test)]
 mod tests;
 
-use sortie_nn::lanes::in_lanes;
 use sortie_nn::optimise::RmsProp;
-use sortie_nn::random::{Generator, normals};
+use sortie_nn::random::{Generator, normals, stream};
+use sortie_nn::tape::{Pass, Places, Var};
 
-use super::{CHUNK, LANES};
 use crate::alma::agents::{TaskOrder, UtilityInput};
-use crate::alma::coach::{Coach, CoachShape, Recognition, RecognitionShape};
+use crate::alma::coach::gaussian::entropies;
+use crate::alma::coach::{
+    Coach, CoachLayers, CoachShape, Recognition, RecognitionLayers, RecognitionShape,
+};
 use crate::alma::windows::Windows;
-use loss::{ENTROPY, Holdings, Strategies};
 
 pub use crate::alma::windows::config::CoachConfig;
-pub(super) use loss::{CoachLane, Guess, Held};
+
+/// What the entropy weighs beside the recognition.
+const ENTROPY: f32 = 0.1;
 
 /// Writes some states: the agents of all of them first, who query, each seeing everything that exists in
 /// its state.
@@ -83,27 +88,6 @@ pub struct Coaching {
     pub optimisers: [RmsProp; 2],
 }
 
-/// What has been told in a batch of windows.
-pub(super) struct Told {
-    holdings: Holdings,
-    online: Strategies,
-    target: Strategies,
-    coach_order: TaskOrder,
-    recognition_order: TaskOrder,
-}
-
-impl Told {
-    /// What the players that learn hold.
-    pub(super) fn online(&self) -> Held<'_> {
-        Held { holdings: &self.holdings, strategies: &self.online }
-    }
-
-    /// What the players that value hold.
-    pub(super) fn target(&self) -> Held<'_> {
-        Held { holdings: &self.holdings, strategies: &self.target }
-    }
-}
-
 impl Coaching {
     /// A new coach for players of so many actions.
     pub(super) fn new(
@@ -125,86 +109,13 @@ impl Coaching {
         }
     }
 
-    /// Number of parameters that learn.
-    pub(super) fn parameters(&self) -> usize {
-        self.online.parameters().len() + self.recognition.parameters().len()
-    }
-
-    /// Draws the strategies of all decisions of a batch.
-    pub(super) fn tell(
-        &self,
-        windows: &Windows,
-        threads: usize,
-        lanes: &mut [impl AsMut<CoachLane> + AsRef<CoachLane> + Send],
-        generator: &mut Generator,
-    ) -> Told {
-        let counts = [self.online.parameters().len(), self.recognition.parameters().len()];
-        lanes.iter_mut().for_each(|lane| lane.as_mut().begin(counts[0], counts[1]));
-        let shape = self.online.shape();
-        let holdings = Holdings::new(windows);
-        let mut order = || TaskOrder::shuffled(shape.marks, generator);
-        let [coach_order, target_order, recognition_order] = [order(), order(), order()];
-        let networks = [(&self.online, &coach_order), (&self.target, &target_order)];
-        let [online, target] = networks.map(|(coach, order)| {
-            let rows = rows(coach, (windows, order), &holdings, threads, lanes);
-            let noise = normals(generator, holdings.count() * shape.strategy);
-            Strategies::draw(shape.strategy, rows, noise)
-        });
-        Told { holdings, online, target, coach_order, recognition_order }
-    }
-
-    /// What shapes strategies in a step.
-    pub(super) fn guess<'a>(&'a self, told: &'a Told) -> Guess<'a> {
-        Guess {
-            network: &self.recognition,
-            order: &told.recognition_order,
-            held: told.online(),
+    /// The layers of coach and recognition, which stand behind each other.
+    pub(super) fn layers(&self, places: &mut Places) -> CoachingLayers {
+        CoachingLayers {
+            shape: self.online.shape(),
+            coach: CoachLayers::of(self.online.shape(), places),
+            recognition: RecognitionLayers::of(self.recognition.shape(), places),
             beta: self.config.beta,
-        }
-    }
-
-    /// Goes back from the strategies to the coach, once all lanes have found their slopes.
-    pub(super) fn descend(
-        &self,
-        told: &Told,
-        windows: &Windows,
-        threads: usize,
-        lanes: &mut [impl AsMut<CoachLane> + AsRef<CoachLane> + Send],
-    ) {
-        let Told { holdings, online, coach_order, .. } = told;
-        let shape = self.online.shape();
-        let mut slopes = vec![0.0; holdings.count() * shape.strategy];
-        let mut entropies = vec![0.0; holdings.count()];
-        for CoachLane { places, shares, slopes: own, .. } in lanes.iter().map(AsRef::as_ref) {
-            let agents = places.iter().zip(shares).zip(own.chunks_exact(shape.strategy));
-            for ((place, share), own) in agents {
-                let Some(place) = *place else { continue };
-                let sums = &mut slopes[place * shape.strategy..][..shape.strategy];
-                sums.iter_mut().zip(own).for_each(|(sum, slope)| *sum += slope);
-                entropies[place] -= self.config.beta * ENTROPY * share;
-            }
-        }
-        let d_rows = online.backward(&slopes, &entropies);
-        in_lanes(threads, lanes, |index, lane| {
-            let CoachLane { input, coach_pass, coach, rows, .. } = lane.as_mut();
-            for (states, strategies) in chunks(holdings).skip(index).step_by(LANES) {
-                state_input(shape, windows, states, coach_order, false, input);
-                coach_pass.forward(&self.online, input);
-                let width = 2 * shape.strategy;
-                rows.clear();
-                rows.extend_from_slice(&d_rows[strategies.start * width..strategies.end * width]);
-                coach_pass.backward(&self.online, input, rows, coach);
-            }
-        });
-    }
-
-    /// Writes the gradients of coach and recognition: those of all lanes, added in order.
-    pub(super) fn write_gradient(&self, lanes: &[impl AsRef<CoachLane>], gradient: &mut [f32]) {
-        gradient.fill(0.0);
-        let (coach, recognition) = gradient.split_at_mut(self.online.parameters().len());
-        for lane in lanes.iter().map(AsRef::as_ref) {
-            coach.iter_mut().zip(&lane.coach).for_each(|(sum, value)| *sum += value);
-            recognition.iter_mut().zip(&lane.recognition).for_each(|(sum, value)| *sum += value);
         }
     }
 
@@ -222,36 +133,116 @@ impl Coaching {
     }
 }
 
-/// The decisions in parts that fit the cache, with the range of their strategies.
-fn chunks(holdings: &Holdings) -> impl Iterator<Item = (&[usize], std::ops::Range<usize>)> {
-    holdings.decisions.chunks(CHUNK).enumerate().map(|(chunk, states)| {
-        let first = chunk * CHUNK;
-        (states, holdings.ends[first]..holdings.ends[first + states.len()])
-    })
+/// The layers of coach and recognition network.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CoachingLayers {
+    shape: CoachShape,
+    coach: CoachLayers,
+    recognition: RecognitionLayers,
+    beta: f32,
 }
 
-/// What a coach gives at all decisions, `[strategies, 2 R]`.
-fn rows(
-    coach: &Coach,
-    (windows, order): (&Windows, &TaskOrder),
-    holdings: &Holdings,
-    threads: usize,
-    lanes: &mut [impl AsMut<CoachLane> + AsRef<CoachLane> + Send],
-) -> Vec<f32> {
-    in_lanes(threads, lanes, |index, lane| {
-        let CoachLane { input, coach_pass, rows, .. } = lane.as_mut();
-        rows.clear();
-        for (states, _) in chunks(holdings).skip(index).step_by(LANES) {
-            state_input(coach.shape(), windows, states, order, false, input);
-            rows.extend_from_slice(coach_pass.forward(coach, input));
+/// What some agents have been told: strategies, and the logarithms of the variances that they were drawn with,
+/// `[agents, R]` each. Zeros are what those hold who have been told nothing.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Told {
+    pub(super) strategies: Var,
+    log_variances: Var,
+}
+
+impl CoachingLayers {
+    /// Draws the strategies of all decisions of a window, and lists what some of its agents, by state and number, hold.
+    pub(super) fn tell(
+        self,
+        t: &mut Pass<'_>,
+        (windows, window): (&Windows, usize),
+        (order, seed): (&TaskOrder, u64),
+        agents: impl Iterator<Item = (usize, usize)>,
+    ) -> Told {
+        let width = self.shape.strategy;
+        let decisions = Decisions::of(windows, window);
+        let nothing = t.input(width, &vec![0.0; width]);
+        let (mut strategies, mut log_variances) = (nothing, nothing);
+        if decisions.count > 0 {
+            let mut input = UtilityInput::default();
+            state_input(self.shape, windows, &decisions.states, order, false, &mut input);
+            let told = self.coach.strategies(t, &input);
+            let noise = normals(&mut stream(seed, 0, window as u64), decisions.count * width);
+            let drawn = told.draw(t, &noise);
+            strategies = t.stack(&[nothing, drawn]);
+            log_variances = t.stack(&[nothing, told.log_variances]);
         }
-    });
-    let width = 2 * coach.shape().strategy;
-    let mut all = Vec::with_capacity(holdings.count() * width);
-    let mut unread: Vec<&[f32]> = lanes.iter().map(|lane| &*lane.as_ref().rows).collect();
-    for (chunk, (_, strategies)) in chunks(holdings).enumerate() {
-        let own = unread[chunk % LANES].split_off(..strategies.len() * width);
-        all.extend_from_slice(own.expect("a lane has the rows of its chunks"));
+        let held = agents.map(|(state, agent)| decisions.held(state, agent));
+        let held: Vec<u32> = held.collect();
+        let [strategies, log_variances] =
+            [strategies, log_variances].map(|all| t.gather(all, &held));
+        Told { strategies, log_variances }
     }
-    all
+
+    /// The terms of some of so many states that can be learned from, in all of which the agents that exist have been
+    /// told this.
+    pub(super) fn loss(
+        self,
+        t: &mut Pass<'_>,
+        (windows, order): (&Windows, &TaskOrder),
+        (states, of): (&[usize], usize),
+        told: Told,
+    ) -> Var {
+        let mut input = UtilityInput::default();
+        state_input(self.shape, windows, states, order, true, &mut input);
+        let guess = self.recognition.guess(t, &input);
+        let densities = guess.log_density(t, told.strategies);
+        let entropies = entropies(t, told.log_variances);
+        let weighted = t.scale(entropies, ENTROPY);
+        let numbers = t.add(densities, weighted);
+        let sums = t.sum_columns(numbers);
+        let mut weights = Vec::with_capacity(t.size(sums)[0]);
+        for state in states {
+            let present =
+                &windows.present[state * windows.shape.entities..][..windows.shape.agents];
+            let agents = present.iter().filter(|present| **present).count();
+            let share = 1.0 / (of * agents.max(1)) as f32;
+            weights.extend(std::iter::repeat_n(-self.beta * share, agents));
+        }
+        t.weighted_sum(sums, &weights)
+    }
+}
+
+/// Where strategies are decided in a window, and who holds which.
+#[derive(Debug)]
+struct Decisions {
+    /// States with a decision.
+    states: Vec<usize>,
+    /// Strategies of all of them.
+    count: usize,
+    /// `[S, A]`: the number of each agent's strategy, from 1 on; 0 where it has been told nothing.
+    held: Vec<u32>,
+    first: usize,
+    agents: usize,
+}
+
+impl Decisions {
+    /// Follows the decisions of a window. Who is absent where a decision is made is told nothing.
+    fn of(windows: &Windows, window: usize) -> Self {
+        let shape = windows.shape;
+        let first = window * shape.steps;
+        let (mut states, mut count, mut held) = (Vec::new(), 0, Vec::new());
+        let mut now = vec![0; shape.agents];
+        for state in first..first + shape.steps {
+            if windows.decision[state] {
+                states.push(state);
+                let present = &windows.present[state * shape.entities..];
+                for (now, present) in now.iter_mut().zip(present) {
+                    count += u32::from(*present);
+                    *now = if *present { count } else { 0 };
+                }
+            }
+            held.extend_from_slice(&now);
+        }
+        Self { states, count: count as usize, held, first, agents: shape.agents }
+    }
+
+    fn held(&self, state: usize, agent: usize) -> u32 {
+        self.held[(state - self.first) * self.agents + agent]
+    }
 }

@@ -1,0 +1,95 @@
+//! Keeps allocations of a learned allocator as golden cases.
+
+use sortie_bundle::{GoldenAllocation, GoldenValue};
+use sortie_envs::{EntitySet, Environment, Random, SparseRows};
+
+use crate::error::LearnError;
+use crate::play::evaluate;
+use crate::subtasks::{Allocate, AllocatorNetworks, Subtasks, allocation_state};
+
+/// Golden allocations of a bundle.
+const CASES: usize = 48;
+/// One of so many allocations becomes golden, so that they come from many episodes.
+const STRIDE: usize = 23;
+
+/// Plays so many episodes under the learned allocator and keeps some of its allocations; none where it does not value
+/// single teams, whose values are what engines are compared by.
+pub(super) fn golden_allocations(
+    mut subtasks: Subtasks<'_>,
+    environment: &dyn Environment,
+    episodes: usize,
+    seed: u64,
+) -> Result<Vec<GoldenAllocation>, LearnError> {
+    let mut cases = Vec::new();
+    let Some(learned) = subtasks.allocator.take() else { return Ok(cases) };
+    if matches!(learned.networks, AllocatorNetworks::Proposals(_)) {
+        return Ok(cases);
+    }
+    let recorder =
+        AllocationRecorder { allocator: learned.allocate, allocations: 0, cases: &mut cases };
+    let mut team = subtasks.under(Box::new(recorder));
+    evaluate(environment, &mut team, episodes, seed)?;
+    drop(team);
+    Ok(cases)
+}
+
+/// Allocates, and keeps every so many-th allocation.
+struct AllocationRecorder<'a> {
+    allocator: Box<dyn Allocate + 'a>,
+    allocations: usize,
+    cases: &'a mut Vec<GoldenAllocation>,
+}
+
+impl Allocate for AllocationRecorder<'_> {
+    fn allocate(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        random: &mut Random,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        self.allocator.allocate(environment, state, random, allocation)?;
+        self.allocations += 1;
+        if self.allocations % STRIDE == 1 && self.cases.len() < CASES {
+            let case = self.case(environment, state, allocation);
+            self.cases.push(case);
+        }
+        Ok(())
+    }
+}
+
+impl AllocationRecorder<'_> {
+    /// The allocation with what it is worth at each open subtask to have its team there, nobody, or everybody.
+    fn case(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        allocation: &[u8],
+    ) -> GoldenAllocation {
+        let seen = allocation_state(environment, state);
+        let allocation = allocation[..seen.agents].to_vec();
+        let relations = environment.spec().relations;
+        let (mut relation, mut values) = (Vec::new(), Vec::new());
+        for task in seen.open() {
+            relation.extend(to_task(environment, state, task));
+            let assigned = allocation.iter().enumerate();
+            let team = assigned.filter(|(_, place)| usize::from(**place) == task);
+            let team = team.map(|(agent, _)| 1_u64 << agent).sum();
+            let everybody = (0..seen.agents).map(|agent| 1_u64 << agent).sum();
+            let teams = [0, team, everybody];
+            let worth = self.allocator.values(environment, state, task, &teams);
+            let value = |(team, value)| GoldenValue { task, team, value };
+            values.extend(teams.into_iter().zip(worth).map(value));
+        }
+        GoldenAllocation { state: seen, relations, relation, values, allocation }
+    }
+}
+
+/// How every entity stands to a subtask, in full.
+fn to_task(environment: &dyn Environment, state: &[u8], task: usize) -> Vec<f32> {
+    let mut rows = SparseRows::default();
+    environment.relate(state, 0, task, EntitySet::MAX, &mut rows);
+    let mut dense = Vec::new();
+    rows.write_all(environment.spec().relations, &mut dense);
+    dense
+}

@@ -1,0 +1,186 @@
+//! The agents' network, shared by all of them: entities are embedded and attended to, a head says what each action is worth
+//! (dissertation section 5.4).
+//!
+//! Without memory `q = head relu(a)`, `a = W_o o + b_o + W_s x`, with `o` what the agent attends to and `x` its
+//! own embedding; with memory `q = head h`, `h = GRU(relu(fc2 a), h before)`. The published networks have no
+//! `W_s`: they see their own row through attention only.
+//!
+//! Where actions aim at entities the head may *point*: the utility of such an action is `(W_p h + b_p) · x_e`, the product of
+//! the agent's vector with the embedding of the entity that it aims at, so that it stays meaningful whatever the target's
+//! number; 0 where the agent does not see it.
+
+use sortie_nn::layers::gru::lengths;
+use sortie_nn::random::Generator;
+use sortie_nn::tape::{Gru, Linear, Parameters, Pass, Var};
+
+use super::attention::{EntityAttention, LookShape};
+use super::batch::{Aims, EntityBatch, View};
+use crate::export::{AttentionNetwork, GruCell, Layer, Layout, Matrix, PointingHead};
+
+/// Sizes of the agents' network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AgentShape {
+    /// Of embedding and attention.
+    pub looking: LookShape,
+    /// Actions.
+    pub actions: usize,
+    /// Whether the agent's own embedding reaches the layer before the head.
+    pub skip: bool,
+    /// Width of what agents remember; 0: they remember nothing.
+    pub memory: usize,
+    /// What the last actions aim at, where the head points at it.
+    pub targets: Targets,
+}
+
+/// Entities at which the last actions aim, one each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Targets {
+    /// The first of them.
+    pub first: usize,
+    /// How many; 0: no action aims at one.
+    pub count: usize,
+}
+
+impl Targets {
+    /// The entities.
+    pub fn entities(self) -> std::ops::Range<usize> {
+        self.first..self.first + self.count
+    }
+}
+
+/// The layers.
+#[derive(Clone, Copy, Debug)]
+pub struct EntityAgent {
+    /// The sizes.
+    pub shape: AgentShape,
+    looking: EntityAttention,
+    out: Linear,
+    skip: Option<Linear>,
+    /// Before what is remembered, and the unit that does.
+    memory: Option<(Linear, Gru)>,
+    head: Linear,
+    /// Makes the vector that points.
+    pointing: Option<Linear>,
+}
+
+/// Names of the tensors of a recurrent unit.
+const UNIT: [&str; 4] = ["input.weight", "recurrent.weight", "input.bias", "recurrent.bias"];
+
+impl EntityAgent {
+    /// Adds tensors under `agent`, drawn as PyTorch does.
+    pub fn new(parameters: &mut Parameters, shape: AgentShape, random: &mut Generator) -> Self {
+        let AgentShape { looking: look, actions, skip, memory, targets } = shape;
+        let width = look.width;
+        let looking = EntityAttention::new(parameters, "agent", look, random);
+        let out = parameters.linear("agent.attention.out", width, width, random);
+        let skip = skip.then(|| parameters.projection("agent.skip", width, width, random));
+        let unit = (memory > 0).then(|| {
+            let before = parameters.linear("agent.fc2", width, memory, random);
+            let (start, bound) = (parameters.values.len(), 1.0 / (memory as f32).sqrt());
+            for (name, length) in UNIT.into_iter().zip(lengths(memory)) {
+                let shape = [3 * memory, length / (3 * memory)];
+                let shape = if name.ends_with("bias") { &shape[..1] } else { &shape[..] };
+                parameters.tensor(&format!("agent.memory.{name}"), shape, bound, random);
+            }
+            (before, Gru { width: memory, start })
+        });
+        let last = if memory > 0 { memory } else { width };
+        let head = parameters.linear("agent.head", last, actions - targets.count, random);
+        let points = targets.count > 0;
+        let pointing = points.then(|| parameters.linear("agent.pointing", last, width, random));
+        Self { shape, looking, out, skip, memory: unit, head, pointing }
+    }
+
+    /// The utilities `[blocks * agents, U]` of a batch, as a view shows it. `memory [slots, R]` is what agents remember
+    /// before the first step, see [`EntityBatch::slots`], and becomes what they remember behind the last.
+    pub fn utilities(
+        &self,
+        pass: &mut Pass<'_>,
+        batch: &EntityBatch,
+        view: View<'_>,
+        memory: &mut [f32],
+    ) -> Var {
+        let attended = self.looking.attend(pass, view);
+        let mut hidden = pass.linear(attended.output, self.out);
+        if let Some(skip) = self.skip {
+            let own = attended.own(pass, view);
+            let own = pass.linear(own, skip);
+            hidden = pass.add(hidden, own);
+        }
+        let last = match self.memory {
+            None => pass.relu(hidden),
+            Some((before, unit)) => {
+                let x = pass.linear_rectified(hidden, before);
+                let (places, carry) = batch.in_time(view);
+                let x = pass.scatter(x, places, carry.len());
+                let remembered = pass.gru(x, unit, carry, memory);
+                pass.gather(remembered, places)
+            }
+        };
+        let untargeted = pass.linear(last, self.head);
+        match self.pointing {
+            Some(pointing) => {
+                let vectors = pass.linear(last, pointing);
+                let aimed = point(pass, batch.aims(view), [vectors, attended.embeddings]);
+                pass.concat(&[untargeted, aimed])
+            }
+            None => untargeted,
+        }
+    }
+
+    /// The network by these weights as it is deployed, and its memory.
+    pub fn deployed<'a>(&self, values: &'a [f32]) -> (AttentionNetwork<'a>, Option<GruCell<'a>>) {
+        let matrix =
+            |layer: Linear, layout| Matrix { values: &values[layer.weight_range()], layout };
+        let outputs_first = |layer: Linear| matrix(layer, Layout::OutputsFirst);
+        let whole =
+            |layer: Linear| Layer { weight: outputs_first(layer), bias: bias(layer, values) };
+        let EntityAttention { embed, queries, keys_values, heads } = self.looking;
+        let attention_in = queries.weight..keys_values.weight_range().end;
+        let network = AttentionNetwork {
+            inputs: embed.shape.input,
+            width: embed.shape.output,
+            heads,
+            base: self.head.shape.input,
+            outputs: self.shape.actions,
+            fc1: Layer { weight: matrix(embed, Layout::InputsFirst), bias: bias(embed, values) },
+            attention_in: Matrix { values: &values[attention_in], layout: Layout::OutputsFirst },
+            attention_out: whole(self.out),
+            skip: self.skip.map(outputs_first),
+            fc2: self.memory.map(|(before, _)| whole(before)),
+            head: whole(self.head),
+            pointing: self.pointing.map(|pointing| PointingHead {
+                first_entity: self.shape.targets.first,
+                count: self.shape.targets.count,
+                query: whole(pointing),
+            }),
+        };
+        let memory = self.memory.map(|(_, Gru { width, start })| {
+            let mut rest = &values[start..];
+            let [input, recurrent, input_bias, recurrent_bias] =
+                lengths(width).map(|length| rest.split_off(..length).expect("all tensors"));
+            let layer = |values, bias| {
+                let weight = Matrix { values, layout: Layout::OutputsFirst };
+                Layer { weight, bias }
+            };
+            GruCell { input: layer(input, input_bias), recurrent: layer(recurrent, recurrent_bias) }
+        });
+        (network, memory)
+    }
+}
+
+/// The utilities `[queries, targets]` of aimed actions: products of vectors `[queries, width]` with embeddings `[rows, width]`.
+fn point(pass: &mut Pass<'_>, aims: Aims<'_>, [vectors, embeddings]: [Var; 2]) -> Var {
+    let queries = pass.size(vectors)[0];
+    let vectors = pass.gather(vectors, aims.queries);
+    let targets = pass.gather(embeddings, aims.rows);
+    let products = pass.multiply(vectors, targets);
+    let products = pass.sum_columns(products);
+    let all = pass.scatter(products, aims.places, queries * aims.targets);
+    pass.reshape(all, aims.targets)
+}
+
+/// The offsets of a layer that has some.
+fn bias(layer: Linear, values: &[f32]) -> &[f32] {
+    layer.bias_range().map_or(&[], |range| &values[range])
+}

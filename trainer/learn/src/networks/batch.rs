@@ -1,0 +1,423 @@
+//! What networks attend to: the entities of any number of independent states, with who sees what, and for imagination in
+//! which part of a partition.
+
+use std::collections::HashMap;
+
+use sortie_envs::{ActionSet, EntitySet, Observation, SparseRows, members};
+use sortie_nn::layers::VisibleLists;
+
+use super::BLOCKS;
+
+/// When a state was, in which of the episodes that go through time side by side.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Moment {
+    /// Steps since the episode began.
+    pub step: usize,
+    /// Number of the episode.
+    pub episode: usize,
+}
+
+/// What is attended to, and by whom.
+#[derive(Clone, Copy, Debug)]
+pub struct View<'a> {
+    /// Features of entities.
+    pub rows: &'a SparseRows,
+    /// The row of every query, where rows are shared; else query i belongs to row i.
+    pub own: &'a [u32],
+    /// For each query the rows that it sees.
+    pub all: &'a VisibleLists,
+    /// The same in two parts, within and across, where each is to be attended to as well.
+    pub parts: Option<[&'a VisibleLists; 2]>,
+}
+
+/// What aimed actions aim at, of each query those targets that it sees.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Aims<'a> {
+    /// Aimed actions.
+    pub(super) targets: usize,
+    /// The query of each pair.
+    pub(super) queries: &'a [u32],
+    /// The row of its target.
+    pub(super) rows: &'a [u32],
+    /// Where their utility stands among `[queries, targets]`.
+    pub(super) places: &'a [u32],
+}
+
+impl View<'_> {
+    /// Number of queries.
+    pub fn queries(self) -> usize {
+        self.all.queries()
+    }
+
+    /// The same, of which the parts do not matter.
+    pub fn whole(self) -> Self {
+        Self { parts: None, ..self }
+    }
+}
+
+/// States one behind the other. Query i belongs to row i: the rows of all agents that exist come first.
+///
+/// Where rows are [shared](Self::share_rows), every different row stands there once: what networks make of
+/// each entity alone is made once, however often it is seen.
+#[derive(Clone, Debug, Default)]
+pub struct EntityBatch {
+    rows: SparseRows,
+    others: SparseRows,
+    shared: Option<Shared>,
+    seen: Lists,
+    known: Lists,
+    states: Vec<Sets>,
+    queries: Vec<Query>,
+    /// Whether some agent does not see everything that exists in its state.
+    hides: bool,
+    imagines: bool,
+    sizes: Vec<usize>,
+    team_sizes: Vec<f32>,
+    teams: Vec<u32>,
+    available: Vec<ActionSet>,
+    timeline: Timeline,
+    /// The entity that each aimed action aims at.
+    targets: Vec<usize>,
+    /// Query, row and place of every pair, block by block.
+    pairs: [Vec<u32>; 3],
+}
+
+/// For each query the rows that it sees: all, and those within and across.
+#[derive(Clone, Debug, Default)]
+struct Lists {
+    all: VisibleLists,
+    parts: [VisibleLists; 2],
+}
+
+/// The different rows among many.
+#[derive(Clone, Debug, Default)]
+struct Shared {
+    rows: SparseRows,
+    /// For each of the many the one that it equals.
+    places: Vec<u32>,
+    known: HashMap<Vec<(usize, u32)>, u32>,
+    row: Vec<(usize, u32)>,
+}
+
+/// Where the entities of a state stand.
+#[derive(Clone, Copy, Debug)]
+struct Sets {
+    agents: EntitySet,
+    others: EntitySet,
+    first_agent: usize,
+    first_other: usize,
+}
+
+/// What one agent observes and who is in its part.
+#[derive(Clone, Copy, Debug)]
+struct Query {
+    observable: EntitySet,
+    within: EntitySet,
+}
+
+/// Where the rows of agents stand in time and among episodes.
+#[derive(Clone, Debug, Default)]
+struct Timeline {
+    steps: usize,
+    episodes: usize,
+    /// Agents of an episode, absent ones too.
+    agents: usize,
+    /// Step and slot of each row.
+    rows: Vec<(usize, usize)>,
+    /// Of one block, and of three: where rows stand among `[steps, blocks, slots]`, and who is there to remember.
+    grids: [(Vec<u32>, Vec<bool>); 2],
+}
+
+impl EntityBatch {
+    /// From the next [`finish`](Self::finish) on equal rows are one, or are not.
+    pub fn share_rows(&mut self, shares: bool) {
+        self.shared = shares.then(|| self.shared.take().unwrap_or_default());
+    }
+
+    /// From the next [`finish`](Self::finish) on the last actions aim at these entities, one each.
+    pub fn aim_at(&mut self, targets: impl Iterator<Item = usize>) {
+        self.targets.clear();
+        self.targets.extend(targets);
+    }
+
+    /// Forgets all states, keeps the memory.
+    pub fn clear(&mut self) {
+        self.rows.clear();
+        self.others.clear();
+        self.timeline.clear();
+        self.sizes.clear();
+        self.available.clear();
+        self.states.clear();
+        self.queries.clear();
+        self.hides = false;
+    }
+
+    /// Adds a state of which all rows have been observed, the first of an episode of its own.
+    pub fn push(&mut self, seen: &Observation) {
+        let episode = self.sizes.len();
+        self.push_at(Moment { episode, ..Moment::default() }, seen, |_| EntitySet::MAX);
+    }
+
+    /// As [`push`](Self::push), of any moment of an episode; `within` gives the entities in the part of an agent.
+    pub fn push_at(
+        &mut self,
+        moment: Moment,
+        seen: &Observation,
+        within: impl Fn(usize) -> EntitySet,
+    ) {
+        let slots = (1 << seen.observable.len()) - 1;
+        let (agents, others) = (seen.present & slots, seen.present & !slots);
+        let (first_agent, first_other) = (self.rows.len(), self.others.len());
+        self.states.push(Sets { agents, others, first_agent, first_other });
+        self.sizes.push(agents.count_ones() as usize);
+        self.timeline.push(moment, seen.observable.len(), members(agents));
+        for agent in members(agents) {
+            self.rows.push_row(&seen.rows, seen.row_of(agent));
+            self.rows.end_row();
+            let observable = seen.observable[agent] & seen.present;
+            self.hides |= observable != seen.present;
+            self.available.push(seen.available[agent]);
+            self.queries.push(Query { observable, within: within(agent) });
+        }
+        for other in members(others) {
+            self.others.push_row(&seen.rows, seen.row_of(other));
+            self.others.end_row();
+        }
+    }
+
+    /// Ends the pushing: lists who sees what, and where something is imagined in which part.
+    pub fn finish(&mut self, imagines: bool) {
+        self.imagines = imagines;
+        let agents = self.rows.len();
+        self.rows.append(&self.others);
+        if let Some(shared) = &mut self.shared {
+            shared.fill(&self.rows);
+        }
+        self.seen.clear();
+        self.known.clear();
+        self.pairs.iter_mut().for_each(Vec::clear);
+        let mut queries = (0..).zip(&self.queries);
+        for sets in &self.states {
+            let row = |entity: usize| {
+                let row = sets.row_of(entity, agents);
+                self.shared.as_ref().map_or(row, |shared| shared.places[row] as usize)
+            };
+            for (number, query) in queries.by_ref().take(sets.agents.count_ones() as usize) {
+                let within = imagines.then_some(query.within);
+                self.seen.push(query.observable, within, row);
+                let targets = self.targets.iter().enumerate();
+                for (target, entity) in
+                    targets.filter(|(_, entity)| query.observable >> **entity & 1 == 1)
+                {
+                    let place = number * self.targets.len() as u32 + target as u32;
+                    let pair = [number, row(*entity) as u32, place];
+                    self.pairs.iter_mut().zip(pair).for_each(|(all, own)| all.push(own));
+                }
+                if self.hides {
+                    self.known.push(sets.agents | sets.others, within, row);
+                }
+            }
+        }
+        if imagines {
+            self.repeat_pairs();
+        }
+        self.number_teams();
+        self.timeline.lay_out(imagines);
+    }
+
+    /// Whoever an agent is with in what is imagined, it aims at what it sees.
+    fn repeat_pairs(&mut self) {
+        let (pairs, queries) = (self.pairs[0].len(), self.queries.len());
+        let [of_queries, rows, places] = &mut self.pairs;
+        let strides = [(of_queries, queries), (rows, 0), (places, queries * self.targets.len())];
+        for (all, stride) in strides {
+            for block in 1..BLOCKS {
+                let further = (block * stride) as u32;
+                all.extend_from_within(..pairs);
+                all[block * pairs..].iter_mut().for_each(|number| *number += further);
+            }
+        }
+    }
+
+    /// Says of every agent which team it is in, once for each imagined block.
+    fn number_teams(&mut self) {
+        self.teams.clear();
+        for _ in 1..BLOCKS {
+            let teams = self.sizes.iter().enumerate();
+            let each = teams.flat_map(|(team, size)| std::iter::repeat_n(team as u32, *size));
+            self.teams.extend(each);
+        }
+        self.team_sizes.clear();
+        self.team_sizes.extend(self.sizes.iter().map(|size| *size as f32));
+    }
+
+    /// What agents see.
+    pub fn seen(&self) -> View<'_> {
+        self.view(&self.seen)
+    }
+
+    /// For each agent everything that exists in its state.
+    pub fn known(&self) -> View<'_> {
+        self.view(if self.hides { &self.known } else { &self.seen })
+    }
+
+    fn view<'a>(&'a self, lists: &'a Lists) -> View<'a> {
+        let (rows, own) = match &self.shared {
+            Some(Shared { rows, places, .. }) => (rows, &places[..self.agents()]),
+            None => (&self.rows, &[][..]),
+        };
+        let parts = self.imagines.then(|| lists.parts.each_ref());
+        View { rows, own, all: &lists.all, parts }
+    }
+
+    /// What aimed actions aim at in a view.
+    pub(super) fn aims(&self, view: View<'_>) -> Aims<'_> {
+        let [queries, rows, places] = &self.pairs;
+        let pairs = match (self.imagines, view.parts) {
+            (true, None) => queries.len() / BLOCKS,
+            _ => queries.len(),
+        };
+        Aims {
+            targets: self.targets.len(),
+            queries: &queries[..pairs],
+            rows: &rows[..pairs],
+            places: &places[..pairs],
+        }
+    }
+
+    /// Where the rows of a view stand among `[steps, blocks * slots]`, and who is there to remember.
+    pub(super) fn in_time(&self, view: View<'_>) -> (&[u32], &[bool]) {
+        let (places, carry) = &self.timeline.grids[usize::from(view.parts.is_some())];
+        (places, carry)
+    }
+
+    /// Memories that go through time side by side in a view: of all blocks, all episodes, all agents of which some may be
+    /// absent.
+    pub fn slots(&self, view: View<'_>) -> usize {
+        let blocks = if view.parts.is_some() { BLOCKS } else { 1 };
+        blocks * self.timeline.slots()
+    }
+
+    /// Whether there is no state.
+    pub fn is_empty(&self) -> bool {
+        self.sizes.is_empty()
+    }
+
+    /// Number of agents of every state.
+    pub fn sizes(&self) -> &[usize] {
+        &self.sizes
+    }
+
+    /// The same as numbers of a column.
+    pub(super) fn team_sizes(&self) -> &[f32] {
+        &self.team_sizes
+    }
+
+    /// `[2 * agents]`: the state of every agent by its number, of all agents twice.
+    pub(super) fn teams(&self) -> &[u32] {
+        &self.teams
+    }
+
+    /// The actions that each agent may take.
+    pub fn available(&self) -> &[ActionSet] {
+        &self.available
+    }
+
+    /// Agents of all states.
+    pub fn agents(&self) -> usize {
+        self.queries.len()
+    }
+}
+
+impl Sets {
+    /// The row of an entity that exists, where so many rows are of agents.
+    fn row_of(&self, entity: usize, agents: usize) -> usize {
+        let before = (1u128 << entity) - 1;
+        if self.agents >> entity & 1 == 1 {
+            self.first_agent + (self.agents & before).count_ones() as usize
+        } else {
+            agents + self.first_other + (self.others & before).count_ones() as usize
+        }
+    }
+}
+
+impl Lists {
+    fn clear(&mut self) {
+        self.all.clear();
+        self.parts.iter_mut().for_each(VisibleLists::clear);
+    }
+
+    /// Adds the list of one query, and where it is given those of its two parts.
+    fn push(&mut self, seen: EntitySet, within: Option<EntitySet>, row: impl Fn(usize) -> usize) {
+        let add = |list: &mut VisibleLists, set| {
+            members(set).for_each(|entity| list.push(row(entity)));
+            list.end_list();
+        };
+        add(&mut self.all, seen);
+        if let Some(within) = within {
+            let [inner, outer] = &mut self.parts;
+            add(inner, seen & within);
+            add(outer, seen & !within);
+        }
+    }
+}
+
+impl Shared {
+    fn fill(&mut self, all: &SparseRows) {
+        let Self { rows, places, known, row } = self;
+        rows.clear();
+        places.clear();
+        known.clear();
+        for index in 0..all.len() {
+            row.clear();
+            row.extend(all.row(index).map(|(column, value)| (column, value.to_bits())));
+            let place = known.get(&**row).copied().unwrap_or_else(|| {
+                let place = rows.len() as u32;
+                rows.push_row(all, index);
+                rows.end_row();
+                known.insert(row.clone(), place);
+                place
+            });
+            places.push(place);
+        }
+    }
+}
+
+impl Timeline {
+    fn clear(&mut self) {
+        (self.steps, self.episodes) = (0, 0);
+        self.rows.clear();
+    }
+
+    /// Adds a state of some agents, of which these are present.
+    fn push(&mut self, moment: Moment, agents: usize, present: impl Iterator<Item = usize>) {
+        self.steps = self.steps.max(moment.step + 1);
+        self.episodes = self.episodes.max(moment.episode + 1);
+        self.agents = agents;
+        self.rows.extend(present.map(|agent| (moment.step, moment.episode * agents + agent)));
+    }
+
+    fn slots(&self) -> usize {
+        self.episodes * self.agents
+    }
+
+    /// Finds where every row stands, block by block.
+    fn lay_out(&mut self, imagines: bool) {
+        let slots = self.slots();
+        for ((places, carry), blocks) in self.grids.iter_mut().zip([1, BLOCKS]) {
+            places.clear();
+            carry.clear();
+            if blocks > 1 && !imagines {
+                continue;
+            }
+            carry.resize(self.steps * blocks * slots, false);
+            for block in 0..blocks {
+                for (step, slot) in &self.rows {
+                    let place = (step * blocks + block) * slots + slot;
+                    places.push(place as u32);
+                    carry[place] = true;
+                }
+            }
+        }
+    }
+}

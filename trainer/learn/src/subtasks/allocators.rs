@@ -1,0 +1,94 @@
+//! Allocators that do not learn: the rules of an environment, a deployed one, and nobody.
+
+use sortie_bundle::OwnedAllocationState;
+use sortie_core::{Allocator, EntityMask};
+use sortie_envs::{EntitySet, Environment, Observation, Random, UNASSIGNED, members};
+
+use super::Allocate;
+use crate::error::LearnError;
+
+/// One of the [rules](sortie_envs::Spec::rules) of an environment, by its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RuleAllocator(pub &'static str);
+
+impl Allocate for RuleAllocator {
+    fn allocate(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        random: &mut Random,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        let spec = environment.spec();
+        let known = spec.rules.iter().position(|rule| rule.name == self.0);
+        let unknown = || {
+            let names: Vec<&str> = spec.rules.iter().map(|rule| rule.name).collect();
+            let (name, names) = (spec.name, names.join("`, `"));
+            LearnError::Team(format!(
+                "`{name}` has no rule `{}` of allocation; it has `{names}`",
+                self.0
+            ))
+        };
+        environment.allocate(known.ok_or_else(unknown)?, state, random, allocation);
+        Ok(())
+    }
+}
+
+/// Assigns nobody: what agents need that know of no subtasks.
+#[derive(Clone, Copy, Debug)]
+pub struct NoSubtasks;
+
+impl Allocate for NoSubtasks {
+    fn allocate(
+        &mut self,
+        _: &dyn Environment,
+        _: &[u8],
+        _: &mut Random,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        allocation.fill(UNASSIGNED);
+        Ok(())
+    }
+}
+
+/// A deployed allocator, on what it would see of a state.
+pub struct DeployedAllocator<'a>(pub Box<dyn Allocator + 'a>);
+
+impl Allocate for DeployedAllocator<'_> {
+    fn allocate(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        _: &mut Random,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        let mut state = allocation_state(environment, state);
+        // What a policy proposes depends on what was in force.
+        for (tasks, last) in state.entity_task.iter_mut().zip(&allocation[..state.agents]) {
+            *tasks = 1_u32.checked_shl((*last).into()).unwrap_or(0);
+        }
+        allocation.fill(UNASSIGNED);
+        let team = &mut allocation[..state.agents];
+        self.0.allocate(&state.view(), team).map_err(|error| LearnError::Team(error.to_string()))
+    }
+}
+
+/// All that an allocator sees of a state; agents come without their last allocation.
+pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAllocationState {
+    let features = environment.spec().shape.features;
+    let mut seen = Observation::default();
+    environment.observe(state, 0, EntitySet::MAX, &mut seen);
+    let mut rows = Vec::new();
+    seen.rows.write_all(features, &mut rows);
+    let mut present = EntityMask::first(seen.rows.len());
+    members(seen.absent.into()).for_each(|agent| present.remove(agent));
+    OwnedAllocationState {
+        agents: seen.agents(),
+        tasks: seen.tasks(),
+        rows,
+        features,
+        present,
+        entity_task: members(seen.present).map(|entity| seen.entity_task[entity]).collect(),
+        open_tasks: seen.open_tasks,
+    }
+}

@@ -1,0 +1,391 @@
+//! A replay buffer of trajectories: what every instance did, step by step, from which learners draw.
+//!
+//! The states of an instance stand one behind the other, each once and at its own length, with what was done in it, what
+//! that earned (the team, and where it is asked for each task and each agent), and how the step left its episode. The state
+//! in which an episode ended follows its last step; in it nothing was done. A [`Place`] names a state, and what a learner
+//! needs of the future is read from there on: how many steps, which discount is chosen when it is drawn.
+//!
+//! What is kept is so many states of each instance, or so many whole episodes, the latest of all instances. Memory that
+//! became free is used again: once the buffer is full, it allocates nothing.
+//!
+//! ```
+//! # use sortie_envs::{Environment, Split, random::generator};
+//! # use sortie_learn::{Transition, trajectory::{Capacity, Trajectories, Widths}};
+//! let mut ring = sortie_envs::open("group-matching/3x6x1", Split::Train, 1, &Default::default())?;
+//! let widths = Widths { agents: ring.spec().shape.agents, ..Widths::default() };
+//! let mut replay = Trajectories::new(Capacity::States(1_000), 1, widths);
+//! let (mut random, actions) = (generator(1), [1; 3]);
+//! # let [mut state, mut next] = [Vec::new(), Vec::new()];
+//! # ring.reset(0, &mut random);
+//! # ring.save(0, &mut state);
+//! for _ in 0..10 {
+//!     // The trainer does this, and hands out the transition.
+//!     let step = ring.step(0, &actions, &mut random)?;
+//! #   next.clear();
+//! #   ring.save(0, &mut next);
+//! #   let (environment, task_rewards, agent_rewards) = (&*ring, &[][..], &[][..]);
+//!     replay.push(&Transition { environment, instance: 0, state: &state, actions: &actions, step, task_rewards, agent_rewards, next: &next });
+//! #   std::mem::swap(&mut state, &mut next);
+//! }
+//! let place = replay.draw(3, &mut random);
+//! let future = replay.future(place, 3, 0.9);
+//! // r + 0.9 r' + 0.81 r'' + 0.729 V(state), or less of it where the episode ended.
+//! let (reward, counts, state) = (future.reward, future.discount, replay.state(future.place));
+//! # assert!(!state.is_empty() && counts > 0.7 && reward.is_finite());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+use sortie_envs::Random;
+use sortie_envs::random::below;
+
+use crate::error::LearnError;
+use crate::method::Transition;
+use crate::state::State;
+
+/// States that are stored, and forgotten, together.
+const BLOCK: u64 = 256;
+
+/// How much is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Capacity {
+    /// The latest states of each instance.
+    States(usize),
+    /// The latest whole episodes of all instances, and those that still run.
+    Episodes(usize),
+}
+
+/// How many numbers are kept of each step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Widths {
+    /// Agents whose actions are kept.
+    pub agents: usize,
+    /// Subtasks whose rewards are kept; 0: the team's alone.
+    pub tasks: usize,
+    /// Agents whose own rewards are kept; 0: the team's alone.
+    pub earners: usize,
+}
+
+/// How a step left its episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum End {
+    /// It goes on.
+    Open,
+    /// It is over, and what follows is worth nothing.
+    Over,
+    /// The time ran out: what follows is still worth something.
+    TimedOut,
+    /// There was no step: this is the state that an episode ended in.
+    Nothing,
+}
+
+/// A state: its instance, and its number there since the run began.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Place {
+    instance: u32,
+    number: u64,
+}
+
+/// What the step from a state earned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rewards<'a> {
+    /// The team.
+    pub team: f32,
+    /// Each subtask, as far as they are kept.
+    pub tasks: &'a [f32],
+    /// Each agent, as far as they are kept.
+    pub agents: &'a [f32],
+}
+
+/// What followed a state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Future {
+    /// The state that is looked at next.
+    pub place: Place,
+    /// The discounted rewards of the team until there.
+    pub reward: f32,
+    /// What its value counts.
+    pub discount: f32,
+}
+
+/// A whole episode: so many steps, and a state more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Episode {
+    /// Its first state.
+    pub first: Place,
+    /// Steps that were taken.
+    pub steps: usize,
+}
+
+impl Place {
+    /// The state so many steps later.
+    pub fn after(self, steps: usize) -> Self {
+        Self { number: self.number + steps as u64, ..self }
+    }
+
+    /// How many steps it is behind an earlier one of the same instance.
+    pub fn since(self, earlier: Self) -> usize {
+        (self.number - earlier.number) as usize
+    }
+}
+
+/// The replay buffer.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Trajectories {
+    capacity: Capacity,
+    widths: Widths,
+    streams: Vec<Stream>,
+    /// The latest whole episodes, in the order in which they ended.
+    episodes: VecDeque<Episode>,
+    /// Episodes that have ended since the run began.
+    finished: u64,
+}
+
+/// The states of one instance.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Stream {
+    blocks: VecDeque<Block>,
+    /// Number of the first state in the first block.
+    first: u64,
+    /// Number of the first state that is kept.
+    kept_from: u64,
+    /// The number that the next state gets.
+    next: u64,
+    /// Number of the first state of the running episode.
+    running: u64,
+    /// Blocks to be used again.
+    #[serde(skip)]
+    spare: Vec<Block>,
+}
+
+/// Some states of one instance, one behind the other.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Block {
+    bytes: Vec<u8>,
+    /// Where the bytes of each state end.
+    bytes_end: Vec<u32>,
+    actions: Vec<u16>,
+    /// Of every state the team's, then those of subtasks and agents.
+    rewards: Vec<f32>,
+    ends: Vec<End>,
+}
+
+impl Trajectories {
+    /// An empty buffer for so many instances.
+    pub fn new(capacity: Capacity, instances: usize, widths: Widths) -> Self {
+        let streams = vec![Stream::default(); instances];
+        Self { capacity, widths, streams, episodes: VecDeque::new(), finished: 0 }
+    }
+
+    /// Adds a step.
+    pub fn push(&mut self, transition: &Transition<'_>) {
+        let Transition {
+            instance, state, actions, step, task_rewards, agent_rewards, next, ..
+        } = *transition;
+        let end = match (step.terminated, step.timed_out) {
+            (true, _) => End::Over,
+            (_, true) => End::TimedOut,
+            _ => End::Open,
+        };
+        let Self { capacity, widths, streams, .. } = self;
+        let stream = &mut streams[instance];
+        let block = stream.write(state, end, *widths);
+        block.actions.extend(&actions[..widths.agents]);
+        let padded = |rewards: &[f64], count: usize, to: &mut Vec<f32>| {
+            let end = to.len() + count;
+            to.extend(rewards.iter().take(count).map(|reward| *reward as f32));
+            to.resize(end, 0.0);
+        };
+        block.rewards.push(step.reward as f32);
+        padded(task_rewards, widths.tasks, &mut block.rewards);
+        padded(agent_rewards, widths.earners, &mut block.rewards);
+        if step.done() {
+            let block = stream.write(next, End::Nothing, *widths);
+            block.actions.resize(block.actions.len() + widths.agents, 0);
+            block.rewards.resize(block.rewards.len() + widths.rewards(), 0.0);
+        }
+        if let Capacity::States(kept) = *capacity {
+            stream.forget_before(stream.next.saturating_sub(kept as u64));
+        }
+        if step.done() {
+            self.end_episode(instance);
+        }
+    }
+
+    fn end_episode(&mut self, instance: usize) {
+        self.finished += 1;
+        let stream = &mut self.streams[instance];
+        let (first, steps) = (stream.running, stream.next - stream.running - 1);
+        stream.running = stream.next;
+        if let Capacity::Episodes(kept) = self.capacity {
+            let first = Place { instance: instance as u32, number: first };
+            self.episodes.push_back(Episode { first, steps: steps as usize });
+            let oldest = (self.episodes.len() > kept).then(|| self.episodes.pop_front());
+            if let Some(Episode { first, steps }) = oldest.flatten() {
+                // Episodes of an instance end in their order, so that all before this one are gone.
+                self.streams[first.instance as usize].forget_before(first.after(steps + 1).number);
+            }
+        }
+    }
+
+    /// Draws a state that so many more follow, in which something was done. There needs to be one.
+    pub fn draw(&self, steps: usize, random: &mut Random) -> Place {
+        loop {
+            let instance = below(random, self.streams.len());
+            let stream = &self.streams[instance];
+            let kept = (stream.next - stream.kept_from) as usize;
+            let ahead = below(random, kept.saturating_sub(steps)) as u64;
+            let place = Place { instance: instance as u32, number: stream.kept_from + ahead };
+            if kept > steps && self.end(place) != End::Nothing {
+                return place;
+            }
+        }
+    }
+
+    /// What followed a state within so many steps or until its episode ended.
+    pub fn future(&self, place: Place, steps: usize, discount: f32) -> Future {
+        let mut future = Future { place, reward: 0.0, discount: 1.0 };
+        for _ in 0..steps {
+            let end = self.end(future.place);
+            if end == End::Nothing {
+                return Future { discount: 0.0, ..future };
+            }
+            future.reward += future.discount * self.rewards(future.place).team;
+            future.discount *= if end == End::Over { 0.0 } else { discount };
+            future.place = future.place.after(1);
+            if end != End::Open {
+                break;
+            }
+        }
+        future
+    }
+
+    /// Episodes that have ended since the run began.
+    pub fn finished(&self) -> u64 {
+        self.finished
+    }
+
+    /// The whole episodes that are kept; none where the capacity is in states.
+    pub fn episodes(&self) -> usize {
+        self.episodes.len()
+    }
+
+    /// Draws so many different episodes (Floyd's way); there need to be as many.
+    pub fn draw_episodes(&self, count: usize, random: &mut Random, drawn: &mut Vec<Episode>) {
+        drawn.clear();
+        for last in self.episodes.len() - count..self.episodes.len() {
+            let episode = self.episodes[below(random, last + 1)];
+            drawn.push(if drawn.contains(&episode) { self.episodes[last] } else { episode });
+        }
+    }
+
+    /// Whether a state has not been forgotten.
+    pub fn has(&self, place: Place) -> bool {
+        let stream = &self.streams[place.instance as usize];
+        (stream.kept_from..stream.next).contains(&place.number)
+    }
+
+    /// The bytes of a state.
+    pub fn state(&self, place: Place) -> &[u8] {
+        let (block, at) = self.block(place);
+        let start = at.checked_sub(1).map_or(0, |before| block.bytes_end[before]);
+        &block.bytes[start as usize..block.bytes_end[at] as usize]
+    }
+
+    /// `[A]`: what was done in a state.
+    pub fn actions(&self, place: Place) -> &[u16] {
+        let (block, at) = self.block(place);
+        &block.actions[at * self.widths.agents..][..self.widths.agents]
+    }
+
+    /// What that earned.
+    pub fn rewards(&self, place: Place) -> Rewards<'_> {
+        let (block, at) = self.block(place);
+        let width = self.widths.rewards();
+        let rewards = &block.rewards[at * width..][..width];
+        let (tasks, agents) = rewards[1..].split_at(self.widths.tasks);
+        Rewards { team: rewards[0], tasks, agents }
+    }
+
+    /// How the step from a state left its episode.
+    pub fn end(&self, place: Place) -> End {
+        let (block, at) = self.block(place);
+        block.ends[at]
+    }
+
+    fn block(&self, place: Place) -> (&Block, usize) {
+        let stream = &self.streams[place.instance as usize];
+        let at = place.number - stream.first;
+        (&stream.blocks[(at / BLOCK) as usize], (at % BLOCK) as usize)
+    }
+
+    /// Names all of it.
+    ///
+    /// # Errors
+    /// A checkpoint has none, or one of another size.
+    pub fn visit(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        let sizes = |it: &Self| (it.capacity, it.widths, it.streams.len());
+        let own = sizes(self);
+        state.value("trajectories", self)?;
+        if sizes(self) == own {
+            return Ok(());
+        }
+        Err(LearnError::Config("`trajectories` of the checkpoint: of another size".to_owned()))
+    }
+}
+
+impl Widths {
+    fn rewards(self) -> usize {
+        1 + self.tasks + self.earners
+    }
+}
+
+impl Stream {
+    /// Adds a state; returns its block, in which all else about it is to follow.
+    fn write(&mut self, state: &[u8], end: End, widths: Widths) -> &mut Block {
+        if self.next == self.first + self.blocks.len() as u64 * BLOCK {
+            let mut block = self.spare.pop().unwrap_or_default();
+            block.clear();
+            block.reserve(widths);
+            self.blocks.push_back(block);
+        }
+        self.next += 1;
+        let block = self.blocks.back_mut().expect("a block with room");
+        block.bytes.extend_from_slice(state);
+        block.bytes_end.push(block.bytes.len() as u32);
+        block.ends.push(end);
+        block
+    }
+
+    /// Forgets all states of smaller numbers.
+    fn forget_before(&mut self, number: u64) {
+        self.kept_from = self.kept_from.max(number);
+        while self.first + BLOCK <= self.kept_from {
+            self.spare.extend(self.blocks.pop_front());
+            self.first += BLOCK;
+        }
+    }
+}
+
+impl Block {
+    fn clear(&mut self) {
+        self.bytes.clear();
+        self.bytes_end.clear();
+        self.actions.clear();
+        self.rewards.clear();
+        self.ends.clear();
+    }
+
+    /// Makes room for all that is to come but the bytes of states, whose number is not known.
+    fn reserve(&mut self, widths: Widths) {
+        let states = BLOCK as usize;
+        self.actions.reserve_exact(states * widths.agents);
+        self.rewards.reserve_exact(states * widths.rewards());
+        self.ends.reserve_exact(states);
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,101 @@
+//! The layers of agents on a tape: entities embedded and looked at, which coach and recognition begin with too, and the
+//! utility network behind them.
+
+use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::random::{Generator, signed_unit};
+use sortie_nn::tape::{Linear, Pass, Places, Var};
+
+use super::entity_attention::{UtilityInput, absorbs};
+use super::utility::UtilityShape;
+
+/// What embeds entities and lets agents look at them (dissertation section 2.3).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TrunkLayers {
+    /// `[input, E]`
+    fc1: Linear,
+    queries: Linear,
+    /// `[2 E, E]`
+    keys_values: Linear,
+    shape: AttentionShape,
+}
+
+impl TrunkLayers {
+    /// A trunk over entities of so many input columns.
+    pub(crate) fn of(input: usize, shape: AttentionShape, places: &mut Places) -> Self {
+        let width = shape.width;
+        Self {
+            fc1: places.linear(input, width),
+            queries: places.projection(width, width),
+            keys_values: places.projection(width, 2 * width),
+            shape,
+        }
+    }
+
+    /// What each acting agent attends to, and its own embedding, `[agents, E]` each.
+    pub(crate) fn attend(self, t: &mut Pass<'_>, input: &UtilityInput) -> [Var; 2] {
+        let (visible, heads) = (&input.visible, self.shape.heads);
+        let entities = t.sparse_linear_rectified(&input.rows, self.fc1);
+        let own = t.rows(entities, 0..visible.queries());
+        let queries = t.linear(own, self.queries);
+        let attended = if absorbs(self.shape, input) {
+            t.absorbed_attention(queries, entities, self.keys_values, visible, heads)
+        } else {
+            let keys_values = t.linear(entities, self.keys_values);
+            t.attention(queries, keys_values, visible, heads)
+        };
+        [attended, own]
+    }
+}
+
+/// The layers of a utility network, in the order of its tensors.
+#[derive(Clone, Copy, Debug)]
+pub struct UtilityLayers {
+    trunk: TrunkLayers,
+    out: Linear,
+    fc2: Linear,
+    head: Linear,
+    skip: Option<Linear>,
+}
+
+impl UtilityLayers {
+    /// Those of a network of this shape.
+    pub fn of(shape: UtilityShape, places: &mut Places) -> Self {
+        let UtilityShape { input, width, base, actions, skip, .. } = shape;
+        Self {
+            trunk: TrunkLayers::of(input, shape.attention(), places),
+            out: places.linear(width, width),
+            fc2: places.linear(width, base),
+            head: places.linear(base, actions),
+            skip: skip.then(|| places.projection(width, width)),
+        }
+    }
+
+    /// What stands before the head, `[agents, R]`: there memories and strategies come in.
+    pub fn base(self, t: &mut Pass<'_>, input: &UtilityInput) -> Var {
+        let [attended, own] = self.trunk.attend(t, input);
+        let looked = match self.skip {
+            Some(skip) => t.linear_sum_rectified([attended, own], [self.out, skip]),
+            None => t.linear_rectified(attended, self.out),
+        };
+        t.linear_rectified(looked, self.fc2)
+    }
+
+    /// The utilities `[agents, U]`.
+    pub fn head(self, t: &mut Pass<'_>, base: Var) -> Var {
+        t.linear(base, self.head)
+    }
+}
+
+/// Draws tensors that stand behind each other, of so many numbers each and inputs of its layer, uniformly in
+/// `±1/sqrt(inputs)`, as PyTorch does.
+pub(crate) fn drawn(
+    tensors: impl IntoIterator<Item = (usize, usize)>,
+    generator: &mut Generator,
+) -> Vec<f32> {
+    let mut parameters = Vec::new();
+    for (length, inputs) in tensors {
+        let bound = 1.0 / (inputs as f32).sqrt();
+        parameters.extend((0..length).map(|_| bound * signed_unit(generator)));
+    }
+    parameters
+}

@@ -1,0 +1,76 @@
+//! The utilities of the agents of some teams, on a tape; with a memory or without.
+//!
+//! A memory is a gated recurrent unit before the head, through the steps of a window. The public code announces this head
+//! without a working version; dissertation figure 5.2 draws it. A memory is empty at the first step of a window and behind
+//! the last state of an episode; who is absent has none.
+
+use sortie_nn::tape::{Gru, Pass, Places, Var};
+
+use super::teams::{Look, Teams};
+use crate::alma::agents::{UtilityInput, UtilityLayers, UtilityShape};
+
+/// Utility network and, where agents have a memory, its recurrent unit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AgentLayers {
+    network: UtilityLayers,
+    unit: Option<Gru>,
+}
+
+impl AgentLayers {
+    pub(super) fn of(shape: UtilityShape, recurrent: bool, places: &mut Places) -> Self {
+        let network = UtilityLayers::of(shape, places);
+        Self { network, unit: recurrent.then(|| places.gru(shape.base)) }
+    }
+
+    /// The utilities `[agents, U]` of the agents of some teams, those with a memory all of one window. What agents have
+    /// been told, `[agents, R]`, is added before the head.
+    pub(super) fn utilities(
+        self,
+        t: &mut Pass<'_>,
+        look: Look<'_>,
+        teams: &mut Teams,
+        told: Option<Var>,
+    ) -> Var {
+        let mut base = match self.unit {
+            Some(unit) => self.remembered(t, unit, look, teams),
+            None => self.base(t, look, teams),
+        };
+        if let Some(told) = told {
+            base = t.add(base, told);
+        }
+        self.network.head(t, base)
+    }
+
+    fn base(self, t: &mut Pass<'_>, look: Look<'_>, teams: &mut Teams) -> Var {
+        let mut input = UtilityInput::default();
+        teams.write_agents(look, &mut input);
+        self.network.base(t, &input)
+    }
+
+    /// What the agents of some teams remember, `[agents, R]`: all agents go through all steps of the window.
+    fn remembered(self, t: &mut Pass<'_>, unit: Gru, look: Look<'_>, wanted: &Teams) -> Var {
+        let (windows, slots) = (look.windows, look.windows.shape.agents);
+        let steps = windows.shape.steps;
+        let sequence = look.in_view(look.view.sequence());
+        let ahead = sequence.view.ahead();
+        let first = wanted.each().next().map_or(0, |team| team.state / steps * steps);
+        let count = steps - ahead;
+        let (mut everybody, mut carry) = (Teams::default(), Vec::with_capacity(count * slots));
+        for state in first..first + count {
+            let scene = sequence.view.of(windows, state);
+            everybody.push(scene, state, None);
+            let seen = state + ahead;
+            let last = seen > first && windows.reset[seen - 1];
+            carry.extend((0..slots).map(|agent| !last && scene.present(agent)));
+        }
+        let base = self.base(t, sequence, &mut everybody);
+        let place = |(state, agent): (usize, usize)| ((state - first) * slots + agent) as u32;
+        let places: Vec<u32> = everybody.agents().map(place).collect();
+        let inputs = t.scatter(base, &places, count * slots);
+        let memories = t.gru(inputs, unit, &carry, &mut vec![0.0; slots * unit.width]);
+
+        let ahead = look.view.ahead() - ahead;
+        let wanted = wanted.agents().map(|(state, agent)| place((state + ahead, agent)));
+        t.gather(memories, &wanted.collect::<Vec<_>>())
+    }
+}

@@ -1,0 +1,192 @@
+//! Actions that aim at entities: who is aimed at is learned by what it looks like, in an environment where numbers say nothing.
+
+use std::sync::atomic::AtomicBool;
+
+use sortie_envs::random::below;
+use sortie_envs::{
+    EntitySet, Environment, Episode, Observation, Random, Shape, Spec, Split, StateError, Step,
+    StepError, conformance,
+};
+use sortie_learn::draft::{MethodRun, draft_method};
+use sortie_learn::play;
+use sortie_learn::run::{RunConfig, RunDescription};
+use sortie_learn::session::{EnvironmentChoice, Opening, Session};
+use sortie_methods::find;
+
+use crate::sessions::with;
+
+const PICKERS: usize = 2;
+const TREES: usize = 4;
+const STEPS: u8 = 5;
+
+/// Two pickers and four trees, one of which is ripe and another hidden, others in every step. To pick is to aim at a tree.
+struct Orchard {
+    spec: Spec,
+    /// Of every instance steps, pickings of ripe trees, the ripe tree and the hidden one.
+    states: Vec<[u8; 4]>,
+}
+
+impl Orchard {
+    fn new(instances: usize) -> Self {
+        let entities = PICKERS + TREES;
+        let aimed = (0..TREES).map(|tree| format!("pick-{tree}"));
+        let spec = Spec {
+            name: "orchard",
+            shape: Shape { agents: PICKERS, entities, tasks: 0, actions: 1 + TREES, features: 3 },
+            features: ["is-picker", "is-tree", "is-ripe"].map(str::to_owned).to_vec(),
+            actions: std::iter::once("wait".to_owned()).chain(aimed).collect(),
+            targets: PICKERS..entities,
+            safe_action: Some(0),
+            row_entries: 2,
+            state_bytes: 4,
+            episode_limit: STEPS.into(),
+            ..Spec::default()
+        };
+        Self { spec, states: vec![[STEPS, 0, 0, 1]; instances] }
+    }
+}
+
+/// The entities that there are to be seen.
+fn seen(hidden: u8) -> EntitySet {
+    let all: EntitySet = (1 << (PICKERS + TREES)) - 1;
+    all & !(1 << (PICKERS + usize::from(hidden)))
+}
+
+/// Waiting, and the trees that are to be seen.
+fn available(hidden: u8) -> u64 {
+    1 | (seen(hidden) as u64 >> PICKERS) << 1
+}
+
+/// A ripe tree and a hidden one, which are two.
+fn draw(random: &mut Random) -> [u8; 2] {
+    let ripe = below(random, TREES);
+    [ripe as u8, ((ripe + 1 + below(random, TREES - 1)) % TREES) as u8]
+}
+
+impl Environment for Orchard {
+    fn spec(&self) -> &Spec {
+        &self.spec
+    }
+
+    fn instances(&self) -> usize {
+        self.states.len()
+    }
+
+    fn open(&self, instances: usize, _: Split) -> Box<dyn Environment> {
+        Box::new(Self::new(instances))
+    }
+
+    fn reset(&mut self, instance: usize, random: &mut Random) {
+        let [ripe, hidden] = draw(random);
+        self.states[instance] = [0, 0, ripe, hidden];
+    }
+
+    fn step(
+        &mut self,
+        instance: usize,
+        actions: &[u16],
+        random: &mut Random,
+    ) -> Result<Step, StepError> {
+        let [steps, picked, ripe, hidden] = &mut self.states[instance];
+        if *steps == STEPS {
+            return Err(StepError::EpisodeOver);
+        }
+        let is_open = |agent: &usize| available(*hidden) >> actions[*agent] & 1 == 1;
+        if let Some(agent) = (0..PICKERS).find(|agent| !is_open(agent)) {
+            return Err(StepError::Unavailable { agent, action: actions[agent] });
+        }
+        let hits = actions.iter().filter(|action| **action == u16::from(*ripe) + 1).count();
+        (*steps, *picked) = (*steps + 1, *picked + hits as u8);
+        [*ripe, *hidden] = draw(random);
+        Ok(Step { reward: hits as f64, timed_out: *steps == STEPS, ..Step::default() })
+    }
+
+    fn save(&self, instance: usize, state: &mut Vec<u8>) {
+        state.extend(self.states[instance]);
+    }
+
+    fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {
+        let length = StateError::Length { found: state.len(), wanted: 4 };
+        self.states[instance] = state.try_into().map_err(|_| length)?;
+        Ok(())
+    }
+
+    fn observe(&self, state: &[u8], _: usize, wanted: EntitySet, seen_by: &mut Observation) {
+        let (ripe, hidden) = (PICKERS + usize::from(state[2]), state[3]);
+        *seen_by = Observation::new(&self.spec.shape);
+        seen_by.present = (1 << (PICKERS + TREES)) - 1;
+        seen_by.entities = wanted & seen_by.present;
+        seen_by.observable.fill(seen(hidden));
+        seen_by.available.fill(available(hidden));
+        for entity in sortie_envs::members(seen_by.entities) {
+            seen_by.rows.push((entity >= PICKERS).into(), 1.0);
+            if entity == ripe {
+                seen_by.rows.push(2, 1.0);
+            }
+            seen_by.rows.end_row();
+        }
+    }
+
+    fn episode(&self, instance: usize) -> Episode {
+        let [steps, picked, ..] = self.states[instance];
+        let done = steps == STEPS;
+        let solved = done && usize::from(picked) == PICKERS * usize::from(STEPS);
+        let (steps, episode_return) = (steps.into(), picked.into());
+        Episode { steps, done, solved, timed_out: done, episode_return, ..Episode::default() }
+    }
+}
+
+/// A run of a method in the orchard, whose greedy team picks so much in the mean.
+fn learned(method: &str, assignments: &[&str]) -> (Session, f64, tempfile::TempDir) {
+    let orchard = || Box::new(Orchard::new(1));
+    let setup = with(&find(method).unwrap().preset("fast").unwrap(), assignments);
+    let environment = EnvironmentChoice::of(&*orchard(), 16);
+    let run = RunConfig { steps: 3_000, evaluate_every: 3_000, final_episodes: 0, ..setup.run };
+    let setup = sortie_learn::session::Setup { environment, run, ..setup };
+    let description = RunDescription::new(setup, 1, 1);
+    let (setup, environment) = (&description.config, &*orchard());
+    let opening = Opening { setup, environment, seed: 1, threads: 1 };
+    let method = find(&setup.method).unwrap().method(&opening).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("run");
+    let mut session = Session::begin(description.clone(), orchard(), method, &place).unwrap();
+    session.run(&mut (), &AtomicBool::new(false)).unwrap();
+    let found = play::evaluate(environment, &mut *session.method().team(), 200, 2).unwrap();
+    (session, found.return_mean, folder)
+}
+
+#[test]
+fn an_orchard_holds_to_the_laws() {
+    assert_eq!(conformance::check(&Orchard::new(2), 1, 20), Ok(()));
+}
+
+/// Ten pickings are all that there are; by chance one in four hits, without the looks of the targets one in three.
+#[test]
+fn a_head_that_points_learns_whom_to_aim_at_and_a_numbered_one_cannot() {
+    for (method, assignments) in [
+        ("vdn", &[][..]),
+        ("qmix", &[]),
+        ("refil", &[]),
+        ("vdn", &["network.memory=16", "replay.unit=episodes"]),
+    ] {
+        let (_, picked, _) = learned(method, assignments);
+        assert!(picked > 8.5, "{method} {assignments:?}: {picked}");
+    }
+    let (_, picked, _) = learned("vdn", &["network.head=numbered"]);
+    assert!(picked < 5.0, "{picked}");
+}
+
+#[test]
+fn what_points_is_exported_with_its_targets_and_gives_its_golden_answers() {
+    let (session, _, folder) = learned("vdn", &[]);
+    let orchard = Orchard::new(1);
+    let (description, method, curve) = (session.description(), session.method(), session.curve());
+    let run = MethodRun { description, environment: &orchard, method, curve };
+    let draft =
+        draft_method(&run, &folder.path().join("run"), &[orchard.spec.shape], &[], 1).unwrap();
+    let bundle = draft.write(&folder.path().join("bundle")).unwrap();
+    let onnx = std::fs::read(bundle.folder().join("agent.onnx")).unwrap();
+    let says = |text: &[u8]| onnx.windows(text.len()).any(|bytes| bytes == text);
+    assert!(says(b"sortie.targets") && says(b"2..6") && says(b"pointing.query"));
+    assert!(bundle.golden().cases.iter().any(|case| case.observation.visible.len() < 6));
+}
