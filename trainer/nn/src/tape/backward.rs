@@ -52,7 +52,10 @@ impl Tape {
                     self.descend_linear(x, layer, own.clone(), parameters, gradient);
                 }
             }
-            Operation::SparseLinear { rows, layer } => {
+            Operation::SparseLinear { rows, layer, rectified } => {
+                if rectified {
+                    relu::backward(&self.values[own.clone()], &mut self.slopes[own.clone()]);
+                }
                 let [weight, bias] = weight_and_bias(layer, gradient);
                 let rows = &self.sparse.things[rows as usize];
                 sparse_linear::backward(rows, &self.slopes[own], weight, bias);
@@ -69,9 +72,8 @@ impl Tape {
             Operation::Affine { x, layer } => {
                 self.descend_affine(x, layer, own, parameters, gradient)
             }
-            Operation::Attend { queries, keys_values, lists, weights, shape, masses } => {
-                let attended = Attended { inputs: [queries, keys_values], lists, weights, masses };
-                self.descend_attention(attended, shape, own);
+            Operation::Attend { queries, keys_values, lists, weights, shape } => {
+                self.descend_attention([queries, keys_values], lists, weights as usize, shape, own);
             }
             Operation::SquaredScores { queries, keys_values, lists, shape } => {
                 self.descend_scores([queries, keys_values], lists, shape, own);
@@ -189,12 +191,15 @@ impl Tape {
             Operation::SoftmaxGroups { x, indices, groups } => {
                 self.descend_softmax_groups(x, indices, groups as usize, own);
             }
-            Operation::Blend { share, a, b } => self.descend_blend([share, a, b], own),
+            Operation::AttendSplit { queries, keys_values, lists, weights, shares } => {
+                let places = [lists, weights, shares].map(|place| place as usize);
+                self.descend_split_attention([queries, keys_values], places, own);
+            }
         }
     }
 
     /// Has `write` store the slopes by `x`, from all values before the step, its results and its slopes.
-    pub(super) fn from(
+    fn from(
         &mut self,
         x: Var,
         own: Range<usize>,
@@ -367,10 +372,14 @@ impl Tape {
     }
 
     /// Through queries, keys and values.
-    fn descend_attention(&mut self, attended: Attended, shape: AttentionShape, own: Range<usize>) {
-        let Attended { inputs: [queries, keys_values], lists, weights, masses } = attended;
-        // They stand before the output, so that all that depends on them has been gone through.
-        let masses = masses.map(|masses| self.of(masses)).filter(|masses| masses.has_slopes);
+    fn descend_attention(
+        &mut self,
+        [queries, keys_values]: [Var; 2],
+        lists: u32,
+        weights: usize,
+        shape: AttentionShape,
+        own: Range<usize>,
+    ) {
         let visible = &self.lists.things[lists as usize];
         let ranges = [queries, keys_values].map(|var| self.of(var).range());
         let [q, kv] = ranges.clone().map(|range| &self.values[range]);
@@ -383,14 +392,13 @@ impl Tape {
         let pass = attention::Backward {
             queries: q,
             keys_values: kv,
-            weights: &self.values[weights as usize..][..visible.pairs() * shape.heads],
+            weights: &self.values[weights..][..visible.pairs() * shape.heads],
             d_output: &self.slopes[own],
             d_scores,
             d_queries: &mut *d_queries,
             d_keys_values: &mut *d_keys_values,
         };
-        let d_masses = masses.map_or(&[][..], |masses| &self.slopes[masses.range()]);
-        attention::backward_with_masses(shape, visible, pass, d_masses);
+        attention::backward(shape, visible, pass);
         self.keep(keys_values, d_keys_values);
         self.keep(queries, d_queries);
         self.scratch = scratch;
@@ -422,15 +430,6 @@ impl Tape {
         self.keep(queries, d_queries);
         self.scratch = scratch;
     }
-}
-
-/// What an attention was made of.
-struct Attended {
-    /// Queries, and keys with values.
-    inputs: [Var; 2],
-    lists: u32,
-    weights: u32,
-    masses: Option<Var>,
 }
 
 /// The gradients of weight and bias of a layer that has both.

@@ -42,7 +42,7 @@ use crate::layers::elementwise::Activation;
 use crate::layers::gru::GruPass;
 use crate::layers::matrix::Store;
 use crate::layers::unfold::UnfoldShape;
-use crate::layers::{SparseRows, VisibleLists};
+use crate::layers::{SparseRows, SplitLists, VisibleLists};
 
 pub use chunks::Chunks;
 pub use parameters::{Gru, Linear, Norm, Parameters, Tensor};
@@ -79,6 +79,7 @@ pub struct Tape {
     used: usize,
     indices: Vec<u32>,
     lists: Pool<VisibleLists>,
+    splits: Pool<SplitLists>,
     sparse: Pool<SparseRows>,
     grus: Pool<GruPass>,
     carry: Vec<bool>,
@@ -145,6 +146,7 @@ impl Tape {
         self.carry.clear();
         self.used = 0;
         (self.lists.used, self.sparse.used, self.grus.used) = (0, 0, 0);
+        self.splits.used = 0;
         Pass { tape: self, parameters }
     }
 
@@ -289,6 +291,7 @@ enum Operation {
     SparseLinear {
         rows: u32,
         layer: Linear,
+        rectified: bool,
     },
     Activate {
         x: Var,
@@ -315,7 +318,6 @@ enum Operation {
         lists: u32,
         weights: u32,
         shape: AttentionShape,
-        masses: Option<Var>,
     },
     SquaredScores {
         queries: Var,
@@ -405,11 +407,13 @@ enum Operation {
         indices: Indices,
         groups: u32,
     },
-    /// `share a + (1 - share) b`
-    Blend {
-        share: Var,
-        a: Var,
-        b: Var,
+    /// `weights` and `shares` are where they begin in the arena.
+    AttendSplit {
+        queries: Var,
+        keys_values: Var,
+        lists: u32,
+        weights: u32,
+        shares: u32,
     },
 }
 
