@@ -61,7 +61,7 @@ fn pass(
     let x = t.sparse_linear(rows, network.first);
     let x = t.relu(x);
     let keys_values = t.linear(x, network.keys_values);
-    let [looked, ..] = t.attention_in_parts(x, keys_values, [visible; 2], 2);
+    let looked = t.attention(x, keys_values, visible, 2);
     let remembered = t.gru(looked, network.memory, &[true; ROWS], memory);
     let both = t.concat(&[looked, remembered]);
     let y = t.linear_rectified(both, network.head);

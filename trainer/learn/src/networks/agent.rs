@@ -10,10 +10,12 @@
 //! number; 0 where the agent does not see it.
 
 use sortie_nn::layers::gru::lengths;
+use sortie_nn::layers::split_attention::HEADS;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Gru, Linear, Parameters, Pass, Var};
 
-use super::attention::{EntityAttention, LookShape};
+use super::BLOCKS;
+use super::attention::{Attended, EntityAttention, LookShape};
 use super::batch::{Aims, EntityBatch, View};
 use crate::export::{AttentionNetwork, GruCell, Layer, Layout, Matrix, PointingHead};
 
@@ -101,15 +103,20 @@ impl EntityAgent {
         memory: &mut [f32],
     ) -> Var {
         let attended = self.looking.attend(pass, view);
-        let mut hidden = pass.linear(attended.output, self.out);
-        if let Some(skip) = self.skip {
-            let own = attended.own(pass, view);
-            let own = pass.linear(own, skip);
-            hidden = pass.add(hidden, own);
-        }
         let last = match self.memory {
-            None => pass.relu(hidden),
+            None => match self.skip {
+                // In one step, where the own embedding is there once.
+                Some(skip) if !view.imagines => {
+                    let own = attended.own(pass, view);
+                    pass.linear_sum_rectified([attended.output, own], [self.out, skip])
+                }
+                _ => {
+                    let hidden = self.hidden(pass, attended, view);
+                    pass.relu(hidden)
+                }
+            },
             Some((before, unit)) => {
+                let hidden = self.hidden(pass, attended, view);
                 let x = pass.linear_rectified(hidden, before);
                 let (places, carry) = batch.in_time(view);
                 let x = pass.scatter(x, places, carry.len());
@@ -128,6 +135,16 @@ impl EntityAgent {
         }
     }
 
+    /// `a`, see the module.
+    fn hidden(&self, pass: &mut Pass<'_>, attended: Attended, view: View<'_>) -> Var {
+        let hidden = pass.linear(attended.output, self.out);
+        let Some(skip) = self.skip else { return hidden };
+        let own = attended.own(pass, view);
+        let own = pass.linear(own, skip);
+        let own = if view.imagines { pass.stack(&[own; BLOCKS]) } else { own };
+        pass.add(hidden, own)
+    }
+
     /// The network by these weights as it is deployed, and its memory.
     pub fn deployed<'a>(&self, values: &'a [f32]) -> (AttentionNetwork<'a>, Option<GruCell<'a>>) {
         let matrix =
@@ -135,12 +152,12 @@ impl EntityAgent {
         let outputs_first = |layer: Linear| matrix(layer, Layout::OutputsFirst);
         let whole =
             |layer: Linear| Layer { weight: outputs_first(layer), bias: bias(layer, values) };
-        let EntityAttention { embed, queries, keys_values, heads } = self.looking;
+        let EntityAttention { embed, queries, keys_values } = self.looking;
         let attention_in = queries.weight..keys_values.weight_range().end;
         let network = AttentionNetwork {
             inputs: embed.shape.input,
             width: embed.shape.output,
-            heads,
+            heads: HEADS,
             base: self.head.shape.input,
             outputs: self.shape.actions,
             fc1: Layer { weight: matrix(embed, Layout::InputsFirst), bias: bias(embed, values) },

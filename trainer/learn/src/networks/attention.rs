@@ -13,10 +13,9 @@ pub struct LookShape {
     pub input: usize,
     /// Columns that are usually not zero, by which the first weights are scaled.
     pub active_inputs: usize,
-    /// Width of embedding, queries, keys and values.
+    /// Width of embedding, queries, keys and values: one of
+    /// [`WIDTHS`](sortie_nn::layers::split_attention::WIDTHS), for which attention in four heads is built.
     pub width: usize,
-    /// Heads, a divisor of the width.
-    pub heads: usize,
 }
 
 /// The layers: features are embedded, `max(0, W x + b)`, and every query attends to the embeddings that it sees.
@@ -28,8 +27,6 @@ pub struct EntityAttention {
     pub queries: Linear,
     /// `[2 width, width]`, without offsets.
     pub keys_values: Linear,
-    /// Heads.
-    pub heads: usize,
 }
 
 /// What queries have attended to.
@@ -49,7 +46,7 @@ impl EntityAttention {
         shape: LookShape,
         random: &mut Generator,
     ) -> Self {
-        let LookShape { input, active_inputs, width, heads } = shape;
+        let LookShape { input, active_inputs, width } = shape;
         let sizes = [input, width];
         let embed =
             parameters.sparse_linear(&format!("{name}.fc1"), sizes, active_inputs as f32, random);
@@ -62,13 +59,12 @@ impl EntityAttention {
         };
         let queries = part(width, weight);
         let keys_values = part(2 * width, weight + width * width);
-        Self { embed, queries, keys_values, heads }
+        Self { embed, queries, keys_values }
     }
 
     /// Attends to what a batch shows: queries are made of agents' rows only, keys and values of all.
     pub fn attend(&self, pass: &mut Pass<'_>, view: View<'_>) -> Attended {
-        let embeddings = pass.sparse_linear(view.rows, self.embed);
-        let embeddings = pass.relu(embeddings);
+        let embeddings = pass.sparse_linear_rectified(view.rows, self.embed);
         let queries = if view.own.is_empty() {
             let own = pass.rows(embeddings, 0..view.queries());
             pass.linear(own, self.queries)
@@ -78,25 +74,18 @@ impl EntityAttention {
             pass.gather(queries, view.own)
         };
         let keys_values = pass.linear(embeddings, self.keys_values);
-        let output = match view.parts {
-            None => pass.attention(queries, keys_values, view.all, self.heads),
-            Some(parts) => {
-                let blocks = pass.attention_in_parts(queries, keys_values, parts, self.heads);
-                pass.stack(&blocks)
-            }
-        };
+        let output = pass.split_attention(queries, keys_values, view.lists, view.imagines);
         Attended { embeddings, output }
     }
 }
 
 impl Attended {
-    /// The queries' own embeddings, once for each block.
+    /// The queries' own embeddings.
     pub fn own(&self, pass: &mut Pass<'_>, view: View<'_>) -> Var {
-        let own = if view.own.is_empty() {
+        if view.own.is_empty() {
             pass.rows(self.embeddings, 0..view.queries())
         } else {
             pass.gather(self.embeddings, view.own)
-        };
-        if view.parts.is_some() { pass.stack(&[own; super::BLOCKS]) } else { own }
+        }
     }
 }

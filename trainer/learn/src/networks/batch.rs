@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 
 use sortie_envs::{ActionSet, EntitySet, Observation, SparseRows, members};
-use sortie_nn::layers::VisibleLists;
+use sortie_nn::layers::SplitLists;
 
 use super::BLOCKS;
 
@@ -24,10 +24,10 @@ pub struct View<'a> {
     pub rows: &'a SparseRows,
     /// The row of every query, where rows are shared; else query i belongs to row i.
     pub own: &'a [u32],
-    /// For each query the rows that it sees.
-    pub all: &'a VisibleLists,
-    /// The same in two parts, within and across, where each is to be attended to as well.
-    pub parts: Option<[&'a VisibleLists; 2]>,
+    /// For each query the rows that it sees, those within its part first.
+    pub lists: &'a SplitLists,
+    /// Whether the parts are to be attended to as well.
+    pub imagines: bool,
 }
 
 /// What aimed actions aim at, of each query those targets that it sees.
@@ -46,12 +46,12 @@ pub(super) struct Aims<'a> {
 impl View<'_> {
     /// Number of queries.
     pub fn queries(self) -> usize {
-        self.all.queries()
+        self.lists.queries()
     }
 
     /// The same, of which the parts do not matter.
     pub fn whole(self) -> Self {
-        Self { parts: None, ..self }
+        Self { imagines: false, ..self }
     }
 }
 
@@ -64,8 +64,8 @@ pub struct EntityBatch {
     rows: SparseRows,
     others: SparseRows,
     shared: Option<Shared>,
-    seen: Lists,
-    known: Lists,
+    seen: SplitLists,
+    known: SplitLists,
     states: Vec<Sets>,
     queries: Vec<Query>,
     /// Whether some agent does not see everything that exists in its state.
@@ -80,13 +80,6 @@ pub struct EntityBatch {
     targets: Vec<usize>,
     /// Query, row and place of every pair, block by block.
     pairs: [Vec<u32>; 3],
-}
-
-/// For each query the rows that it sees: all, and those within and across.
-#[derive(Clone, Debug, Default)]
-struct Lists {
-    all: VisibleLists,
-    parts: [VisibleLists; 2],
 }
 
 /// The different rows among many.
@@ -203,8 +196,11 @@ impl EntityBatch {
                 self.shared.as_ref().map_or(row, |shared| shared.places[row] as usize)
             };
             for (number, query) in queries.by_ref().take(sets.agents.count_ones() as usize) {
-                let within = imagines.then_some(query.within);
-                self.seen.push(query.observable, within, row);
+                let part = if imagines { query.within } else { EntitySet::MAX };
+                let list = |lists: &mut SplitLists, seen: EntitySet| {
+                    lists.push(members(seen & part).map(row), members(seen & !part).map(row));
+                };
+                list(&mut self.seen, query.observable);
                 let targets = self.targets.iter().enumerate();
                 for (target, entity) in
                     targets.filter(|(_, entity)| query.observable >> **entity & 1 == 1)
@@ -214,7 +210,7 @@ impl EntityBatch {
                     self.pairs.iter_mut().zip(pair).for_each(|(all, own)| all.push(own));
                 }
                 if self.hides {
-                    self.known.push(sets.agents | sets.others, within, row);
+                    list(&mut self.known, sets.agents | sets.others);
                 }
             }
         }
@@ -261,22 +257,19 @@ impl EntityBatch {
         self.view(if self.hides { &self.known } else { &self.seen })
     }
 
-    fn view<'a>(&'a self, lists: &'a Lists) -> View<'a> {
+    fn view<'a>(&'a self, lists: &'a SplitLists) -> View<'a> {
         let (rows, own) = match &self.shared {
             Some(Shared { rows, places, .. }) => (rows, &places[..self.agents()]),
             None => (&self.rows, &[][..]),
         };
-        let parts = self.imagines.then(|| lists.parts.each_ref());
-        View { rows, own, all: &lists.all, parts }
+        View { rows, own, lists, imagines: self.imagines }
     }
 
     /// What aimed actions aim at in a view.
     pub(super) fn aims(&self, view: View<'_>) -> Aims<'_> {
         let [queries, rows, places] = &self.pairs;
-        let pairs = match (self.imagines, view.parts) {
-            (true, None) => queries.len() / BLOCKS,
-            _ => queries.len(),
-        };
+        let repeats = self.imagines && !view.imagines;
+        let pairs = if repeats { queries.len() / BLOCKS } else { queries.len() };
         Aims {
             targets: self.targets.len(),
             queries: &queries[..pairs],
@@ -287,14 +280,14 @@ impl EntityBatch {
 
     /// Where the rows of a view stand among `[steps, blocks * slots]`, and who is there to remember.
     pub(super) fn in_time(&self, view: View<'_>) -> (&[u32], &[bool]) {
-        let (places, carry) = &self.timeline.grids[usize::from(view.parts.is_some())];
+        let (places, carry) = &self.timeline.grids[usize::from(view.imagines)];
         (places, carry)
     }
 
     /// Memories that go through time side by side in a view: of all blocks, all episodes, all agents of which some may be
     /// absent.
     pub fn slots(&self, view: View<'_>) -> usize {
-        let blocks = if view.parts.is_some() { BLOCKS } else { 1 };
+        let blocks = if view.imagines { BLOCKS } else { 1 };
         blocks * self.timeline.slots()
     }
 
@@ -337,27 +330,6 @@ impl Sets {
             self.first_agent + (self.agents & before).count_ones() as usize
         } else {
             agents + self.first_other + (self.others & before).count_ones() as usize
-        }
-    }
-}
-
-impl Lists {
-    fn clear(&mut self) {
-        self.all.clear();
-        self.parts.iter_mut().for_each(VisibleLists::clear);
-    }
-
-    /// Adds the list of one query, and where it is given those of its two parts.
-    fn push(&mut self, seen: EntitySet, within: Option<EntitySet>, row: impl Fn(usize) -> usize) {
-        let add = |list: &mut VisibleLists, set| {
-            members(set).for_each(|entity| list.push(row(entity)));
-            list.end_list();
-        };
-        add(&mut self.all, seen);
-        if let Some(within) = within {
-            let [inner, outer] = &mut self.parts;
-            add(inner, seen & within);
-            add(outer, seen & !within);
         }
     }
 }

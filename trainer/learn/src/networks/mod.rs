@@ -13,7 +13,7 @@
 //! # ring.reset(0, &mut random);
 //! # ring.save(0, &mut state);
 //! let (input, actions) = (ring.spec().shape.features, ring.spec().shape.actions);
-//! let looking = LookShape { input, active_inputs: 3, width: 16, heads: 4 };
+//! let looking = LookShape { input, active_inputs: 3, width: 16 };
 //! let (mut parameters, agent) = (Parameters::default(), AgentShape { looking, actions, skip: true, memory: 0, targets: Targets::default() });
 //! let agents = EntityAgent::new(&mut parameters, agent, &mut random);
 //! let kind = MixerKind::Linear;
@@ -46,9 +46,7 @@ pub use agent::{AgentShape, EntityAgent, Targets};
 pub use attention::{Attended, EntityAttention, LookShape};
 pub use batch::{EntityBatch, Moment, View};
 pub use mixer::{Hypernetworks, Mixed, Mixer, MixerKind, MixerShape, WeightsSum};
-
-/// Blocks of a batch in parts: what is made of everything, of what lies within the parts, and of what lies across.
-pub const BLOCKS: usize = 3;
+pub use sortie_nn::layers::split_attention::BLOCKS;
 
 #[cfg(test)]
 mod tests;

@@ -5,7 +5,7 @@ use sortie_nn::tape::{Parameters, Pass, Tape, Tensor, Var};
 
 use super::*;
 
-const LOOKING: LookShape = LookShape { input: 9, active_inputs: 3, width: 16, heads: 4 };
+const LOOKING: LookShape = LookShape { input: 9, active_inputs: 3, width: 16 };
 const KINDS: [MixerKind; 3] = [MixerKind::Sum, MixerKind::Linear, MixerKind::Qmix];
 
 /// What is there in each of three states of three agents and two others, and what agents observe of it:

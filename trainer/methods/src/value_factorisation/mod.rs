@@ -23,16 +23,13 @@ use sortie_learn::networks::{
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method, sections, words};
+use sortie_nn::layers::split_attention::WIDTHS;
 
 pub use acting::Acting;
 pub use loss::{Lesson, Losses, NetworkShape, Networks};
 pub use method::ValueFactorisation;
 pub use partitions::Partitions;
 
-/// Attention heads, as in all experiments of the dissertation.
-const HEADS: usize = 4;
-/// The widths that attention is built for.
-const WIDTHS: [usize; 4] = [16, 32, 64, 128];
 const SIZE: i64 = 20_000_000;
 const COLUMNS: Range = Whole(0, 1024);
 
@@ -196,7 +193,7 @@ impl Config {
         let MixerConfig { kind, hypernetworks, mixing, weights_sum } = self.mixer;
         let Shape { features: input, actions, .. } = spec.shape;
         let active_inputs = if active_inputs == 0 { input } else { active_inputs };
-        let looking = LookShape { input, active_inputs, width, heads: HEADS };
+        let looking = LookShape { input, active_inputs, width };
         NetworkShape {
             agent: AgentShape { looking, actions, skip, memory, targets: self.targets(spec) },
             mixer: MixerShape { kind, hypernetworks, weights_sum, looking, mixing },

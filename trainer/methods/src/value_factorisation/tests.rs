@@ -15,7 +15,7 @@ const PARTITIONS: [Partitions; 4] =
 const MIXERS: [MixerKind; 3] = [MixerKind::Sum, MixerKind::Linear, MixerKind::Qmix];
 
 fn shape(kind: MixerKind, skip: bool) -> NetworkShape {
-    let looking = LookShape { input: COLUMNS, active_inputs: 3, width: 16, heads: HEADS };
+    let looking = LookShape { input: COLUMNS, active_inputs: 3, width: 16 };
     let (hypernetworks, weights_sum) = (Hypernetworks::Shared, WeightsSum::One);
     NetworkShape {
         agent: AgentShape { looking, actions: 4, skip, memory: 0, targets: Targets::default() },

@@ -4,10 +4,6 @@
 //! scores `q . k / sqrt(head width)`, softmax over the visible entities only, weighted sum of values.
 //! A query that sees nothing gets a zero vector. Invisible entities are never touched, which is exact
 //! because their weight is zero.
-//!
-//! The *mass* of a list is the logarithm of the sum of `exp(score)` over it. Two lists that are attended to apart are
-//! attended to together by mixing what comes of them by their masses: the share of the first is the sigmoid of
-//! how much larger its mass is.
 
 use super::wide::{Work, run_widest};
 use sortie_core::internal::math::exp;
@@ -150,39 +146,8 @@ pub fn forward(
     weights: &mut [f32],
     output: &mut [f32],
 ) {
-    let masses = &mut [][..];
-    run_sized::<8, 16, 32>(Forward {
-        shape,
-        visible,
-        queries,
-        keys_values,
-        weights,
-        masses,
-        output,
-    });
+    run_sized::<8, 16, 32>(Forward { shape, visible, queries, keys_values, weights, output });
 }
-
-/// As [`forward`]; writes besides the `masses [queries, heads]`, [`NOTHING`] of a query that sees nothing.
-pub fn forward_with_masses(
-    shape: AttentionShape,
-    visible: &VisibleLists,
-    (queries, keys_values): (&[f32], &[f32]),
-    (weights, masses): (&mut [f32], &mut [f32]),
-    output: &mut [f32],
-) {
-    run_sized::<8, 16, 32>(Forward {
-        shape,
-        visible,
-        queries,
-        keys_values,
-        weights,
-        masses,
-        output,
-    });
-}
-
-/// The mass of an empty list: so little that none of it counts, and finite, so that two of them can be compared.
-pub const NOTHING: f32 = -1e30;
 
 struct Forward<'a> {
     shape: AttentionShape,
@@ -190,8 +155,6 @@ struct Forward<'a> {
     queries: &'a [f32],
     keys_values: &'a [f32],
     weights: &'a mut [f32],
-    /// Empty where they are not asked for.
-    masses: &'a mut [f32],
     output: &'a mut [f32],
 }
 
@@ -213,13 +176,7 @@ impl AttentionWork for Forward<'_> {
                 dots(query, key, scores);
                 scores.iter_mut().for_each(|score| *score *= scale);
             }
-            let masses = self.masses.get_mut(index * heads..(index + 1) * heads);
-            match masses {
-                None => softmax_columns(weights, heads),
-                Some(masses) => softmax_columns_with(weights, heads, |head, largest, sum| {
-                    masses[head] = if sum > 0.0 { largest + sum.ln() } else { NOTHING };
-                }),
-            }
+            softmax_columns(weights, heads);
             for (h, output) in output.chunks_exact_mut(head).enumerate() {
                 let values = list.iter().zip(weights.chunks_exact(heads)).map(|(row, weights)| {
                     let value = (*row as usize * 2 + 1) * width + h * head;
@@ -252,25 +209,13 @@ pub struct Backward<'a> {
 
 /// Writes the gradients of queries, keys and values.
 pub fn backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_>) {
-    backward_with_masses(shape, visible, pass, &[]);
-}
-
-/// As [`backward`], of a loss that has the slopes `d_masses [queries, heads]` by the masses besides.
-pub fn backward_with_masses(
-    shape: AttentionShape,
-    visible: &VisibleLists,
-    pass: Backward<'_>,
-    d_masses: &[f32],
-) {
-    run_sized::<8, 16, 32>(BackwardWork { shape, visible, pass, d_masses });
+    run_sized::<8, 16, 32>(BackwardWork { shape, visible, pass });
 }
 
 struct BackwardWork<'a> {
     shape: AttentionShape,
     visible: &'a VisibleLists,
     pass: Backward<'a>,
-    /// Empty where nothing depends on the masses.
-    d_masses: &'a [f32],
 }
 
 impl AttentionWork for BackwardWork<'_> {
@@ -280,7 +225,7 @@ impl AttentionWork for BackwardWork<'_> {
 
     #[inline(always)]
     fn pass<const LANES: usize>(self, shape: AttentionShape) {
-        let Self { visible, pass, d_masses, .. } = self;
+        let Self { visible, pass, .. } = self;
         let AttentionShape { width, heads } = shape;
         let (head, scale) = (width / heads, shape.scale());
         pass.d_keys_values.fill(0.0);
@@ -307,14 +252,7 @@ impl AttentionWork for BackwardWork<'_> {
                 }
             }
             softmax_columns_backward(weights, d_scores, heads);
-            // The slope of a mass by a score is the score's weight.
-            if let Some(d_masses) = d_masses.get(index * heads..(index + 1) * heads) {
-                let rows = weights.chunks_exact(heads).zip(d_scores.chunks_exact_mut(heads));
-                rows.for_each(|(weights, d_scores)| {
-                    let heads = d_scores.iter_mut().zip(weights).zip(d_masses);
-                    heads.for_each(|((d_score, weight), d_mass)| *d_score += weight * d_mass);
-                });
-            }
+
             d_scores.iter_mut().for_each(|d_score| *d_score *= scale);
 
             let d_query = &mut pass.d_queries[index * width..][..width];
@@ -342,28 +280,17 @@ const GROUP: usize = 4;
 /// Softmax down each column of `scores [list, heads]`, in place. An empty list stays empty.
 #[inline(always)]
 pub(super) fn softmax_columns(scores: &mut [f32], heads: usize) {
-    softmax_columns_with(scores, heads, |_, _, _| {});
-}
-
-/// The same; tells of each column its largest score, and the sum of `exp(score - largest)`.
-#[inline(always)]
-fn softmax_columns_with(scores: &mut [f32], heads: usize, mut told: impl FnMut(usize, f32, f32)) {
     let whole = heads / GROUP * GROUP;
     for first in (0..whole).step_by(GROUP) {
-        softmax_group::<GROUP>(scores, heads, first, &mut told);
+        softmax_group::<GROUP>(scores, heads, first);
     }
     for head in whole..heads {
-        softmax_group::<1>(scores, heads, head, &mut told);
+        softmax_group::<1>(scores, heads, head);
     }
 }
 
 #[inline(always)]
-fn softmax_group<const HEADS: usize>(
-    scores: &mut [f32],
-    heads: usize,
-    first: usize,
-    told: &mut impl FnMut(usize, f32, f32),
-) {
+fn softmax_group<const HEADS: usize>(scores: &mut [f32], heads: usize, first: usize) {
     let mut largest = [f32::NEG_INFINITY; HEADS];
     for scores in scores.chunks_exact(heads) {
         for (largest, score) in largest.iter_mut().zip(&scores[first..][..HEADS]) {
@@ -377,9 +304,6 @@ fn softmax_group<const HEADS: usize>(
             *score = exp(*score - largest);
             *sum += *score;
         }
-    }
-    for head in 0..HEADS {
-        told(first + head, largest[head], sums[head]);
     }
     let shares = sums.map(|sum| 1.0 / sum);
     for weights in scores.chunks_exact_mut(heads) {

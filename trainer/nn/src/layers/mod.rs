@@ -17,6 +17,7 @@ pub mod products;
 pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;
+pub mod split_attention;
 pub mod team_attention;
 pub mod unfold;
 pub mod vectors;
@@ -24,4 +25,5 @@ pub mod wide;
 
 pub use attention::VisibleLists;
 pub use sparse_linear::SparseRows;
+pub use split_attention::SplitLists;
 pub use team_attention::TeamLists;

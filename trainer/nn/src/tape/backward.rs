@@ -72,9 +72,8 @@ impl Tape {
             Operation::Affine { x, layer } => {
                 self.descend_affine(x, layer, own, parameters, gradient)
             }
-            Operation::Attend { queries, keys_values, lists, weights, shape, masses } => {
-                let attended = Attended { inputs: [queries, keys_values], lists, weights, masses };
-                self.descend_attention(attended, shape, own);
+            Operation::Attend { queries, keys_values, lists, weights, shape } => {
+                self.descend_attention([queries, keys_values], lists, weights as usize, shape, own);
             }
             Operation::SquaredScores { queries, keys_values, lists, shape } => {
                 self.descend_scores([queries, keys_values], lists, shape, own);
@@ -192,7 +191,6 @@ impl Tape {
             Operation::SoftmaxGroups { x, indices, groups } => {
                 self.descend_softmax_groups(x, indices, groups as usize, own);
             }
-            Operation::Blend { share, a, b } => self.descend_blend([share, a, b], own),
             Operation::Parameter { start } => {
                 let place = start as usize..start as usize + own.len();
                 elementwise::scale(1.0, &self.slopes[own], Store::Add, &mut gradient[place]);
@@ -213,6 +211,10 @@ impl Tape {
             Operation::AttendInTeams { queries, keys, rows, lists, weights, heads, sums } => {
                 let places = [lists as usize, weights as usize, heads as usize];
                 self.descend_teams([queries, keys, rows], places, sums, own);
+            }
+            Operation::AttendSplit { queries, keys_values, lists, weights, shares } => {
+                let places = [lists, weights, shares].map(|place| place as usize);
+                self.descend_split_attention([queries, keys_values], places, own);
             }
         }
     }
@@ -391,10 +393,14 @@ impl Tape {
     }
 
     /// Through queries, keys and values.
-    fn descend_attention(&mut self, attended: Attended, shape: AttentionShape, own: Range<usize>) {
-        let Attended { inputs: [queries, keys_values], lists, weights, masses } = attended;
-        // They stand before the output, so that all that depends on them has been gone through.
-        let masses = masses.map(|masses| self.of(masses)).filter(|masses| masses.has_slopes);
+    fn descend_attention(
+        &mut self,
+        [queries, keys_values]: [Var; 2],
+        lists: u32,
+        weights: usize,
+        shape: AttentionShape,
+        own: Range<usize>,
+    ) {
         let visible = &self.lists.things[lists as usize];
         let ranges = [queries, keys_values].map(|var| self.of(var).range());
         let [q, kv] = ranges.clone().map(|range| &self.values[range]);
@@ -407,14 +413,13 @@ impl Tape {
         let pass = attention::Backward {
             queries: q,
             keys_values: kv,
-            weights: &self.values[weights as usize..][..visible.pairs() * shape.heads],
+            weights: &self.values[weights..][..visible.pairs() * shape.heads],
             d_output: &self.slopes[own],
             d_scores,
             d_queries: &mut *d_queries,
             d_keys_values: &mut *d_keys_values,
         };
-        let d_masses = masses.map_or(&[][..], |masses| &self.slopes[masses.range()]);
-        attention::backward_with_masses(shape, visible, pass, d_masses);
+        attention::backward(shape, visible, pass);
         self.keep(keys_values, d_keys_values);
         self.keep(queries, d_queries);
         self.scratch = scratch;
@@ -446,15 +451,6 @@ impl Tape {
         self.keep(queries, d_queries);
         self.scratch = scratch;
     }
-}
-
-/// What an attention was made of.
-struct Attended {
-    /// Queries, and keys with values.
-    inputs: [Var; 2],
-    lists: u32,
-    weights: u32,
-    masses: Option<Var>,
 }
 
 /// The gradients of weight and bias of a layer that has both.

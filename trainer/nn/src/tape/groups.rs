@@ -6,7 +6,8 @@ use std::ops::Range;
 use super::backward::sized;
 use super::{Indices, Operation, Pass, Tape, Var};
 use crate::layers::matrix::Store;
-use crate::layers::{VisibleLists, elementwise};
+use crate::layers::split_attention::{self, BLOCKS, HEADS};
+use crate::layers::{SplitLists, elementwise};
 use sortie_core::internal::math::exp;
 
 impl Pass<'_> {
@@ -42,41 +43,43 @@ impl Pass<'_> {
         y
     }
 
-    /// `share a + (1 - share) b`, with a share `[rows, groups]` for each of several equal groups of columns, such as heads.
-    pub fn blend(&mut self, share: Var, a: Var, b: Var) -> Var {
-        let size = self.size(a);
-        let [rows, groups] = self.size(share);
-        assert_eq!((size, rows, size[1] % groups), (self.size(b), size[0], 0), "sizes");
-        let width = size[1] / groups;
-        let ranges = [share, a, b].map(|var| self.tape.of(var).range());
-        let needs = [share, a, b].iter().any(|var| self.tape.needs(*var));
-        let y = self.tape.push(Operation::Blend { share, a, b }, rows, size[1], needs);
-        let (before, out) = self.tape.split(y);
-        let [share, a, b] = ranges.map(|range| &before[range]);
-        let parts = a.chunks_exact(width).zip(b.chunks_exact(width));
-        for ((out, (a, b)), share) in out.chunks_exact_mut(width).zip(parts).zip(share) {
-            out.iter_mut().zip(a.iter().zip(b)).for_each(|(y, (a, b))| *y = b + share * (a - b));
-        }
-        y
-    }
-
-    /// What each query makes of two lists of rows together, and of each of them alone, as imagined passes need it (REFIL,
-    /// dissertation section 5.4): no pair is looked at twice. Sizes as of [`attention`](Self::attention).
-    pub fn attention_in_parts(
+    /// What each query makes of the rows that it sees, in four heads, at a width of one of
+    /// [`WIDTHS`](split_attention::WIDTHS). With `parts` there are three blocks `[3 * queries, width]`: of everything, of what
+    /// lies within its part and of what lies across, as imagined passes need them (REFIL, dissertation section 5.4); no pair is
+    /// looked at twice. Sizes as of [`attention`](Self::attention).
+    pub fn split_attention(
         &mut self,
         queries: Var,
         keys_values: Var,
-        parts: [&VisibleLists; 2],
-        heads: usize,
-    ) -> [Var; 3] {
-        let [(first, mass), (second, other)] = parts.map(|part| {
-            let [attended, mass] = self.attention_with_masses(queries, keys_values, part, heads);
-            (attended, mass)
-        });
-        let other = self.scale(other, -1.0);
-        let larger = self.add(mass, other);
-        let share = self.sigmoid(larger);
-        [self.blend(share, first, second), first, second]
+        lists: &SplitLists,
+        parts: bool,
+    ) -> Var {
+        let [count, width] = self.size(queries);
+        assert_eq!((count, 2 * width), (lists.queries(), self.size(keys_values)[1]), "sizes");
+        let (place, kept) = self.tape.splits.next();
+        kept.copy_from(lists);
+        let [pairs, shares] = [lists.pairs(), count].map(|rows| rows * HEADS);
+        let start = self.tape.reserve(pairs + shares);
+        let rows = if parts { BLOCKS * count } else { count };
+        let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
+        let (weights, places) = (start as u32, (start + pairs) as u32);
+        let operation =
+            Operation::AttendSplit { queries, keys_values, lists: place, weights, shares: places };
+        let y = self.tape.push(operation, rows, width, needs);
+        let [queries, keys_values] = [queries, keys_values].map(|var| self.tape.of(var).range());
+        let range = self.tape.of(y).range();
+        let (before, rest) = self.tape.values.split_at_mut(start);
+        let (space, rest) = rest.split_at_mut(range.start - start);
+        let (weights, shares) = space.split_at_mut(pairs);
+        let pass = split_attention::Forward {
+            queries: &before[queries],
+            keys_values: &before[keys_values],
+            weights,
+            shares,
+            output: &mut rest[..rows * width],
+        };
+        split_attention::forward(width, lists, pass);
+        y
     }
 }
 
@@ -138,31 +141,49 @@ impl Tape {
         self.scratch = scratch;
     }
 
-    pub(super) fn descend_blend(&mut self, [share, a, b]: [Var; 3], own: Range<usize>) {
-        let width = self.columns(a) / self.columns(share);
-        let [shares, firsts, seconds] = [share, a, b].map(|var| self.of(var).range());
-        for (part, is_first) in [(a, true), (b, false)] {
-            let shares = shares.clone();
-            self.from(part, own.clone(), |store, values, _, d_y, d_x| {
-                let slopes = d_x.chunks_exact_mut(width).zip(d_y.chunks_exact(width));
-                for ((d_x, d_y), share) in slopes.zip(&values[shares]) {
-                    let share = if is_first { *share } else { 1.0 - share };
-                    let pairs = d_x.iter_mut().zip(d_y);
-                    match store {
-                        Store::Replace => pairs.for_each(|(d_x, d_y)| *d_x = share * d_y),
-                        Store::Add => pairs.for_each(|(d_x, d_y)| *d_x += share * d_y),
-                    }
+    /// Through queries, keys and values. Their slopes are written where they belong if nothing stands there yet.
+    pub(super) fn descend_split_attention(
+        &mut self,
+        inputs: [Var; 2],
+        [lists, weights, shares]: [usize; 3],
+        own: Range<usize>,
+    ) {
+        let ranges = inputs.map(|var| self.of(var).range());
+        let stores = inputs.map(|var| self.slopes_of(var).map(|(_, store)| store));
+        let at_place = stores == [Some(Store::Replace); 2];
+        let lists = &self.splits.things[lists];
+        let [pairs, queries] = [lists.pairs(), lists.queries()].map(|rows| rows * HEADS);
+        let lengths = ranges.clone().map(|range| if at_place { 0 } else { range.len() });
+        let mut scratch = mem::take(&mut self.scratch);
+        let space = sized(&mut scratch, pairs + lengths[0] + lengths[1]);
+        let (d_scores, space) = space.split_at_mut(pairs);
+        let (before, rest) = self.slopes.split_at_mut(own.start);
+        let [d_queries, d_keys_values] = if at_place {
+            before.get_disjoint_mut(ranges.clone()).expect("queries are no keys")
+        } else {
+            space.split_at_mut(lengths[0]).into()
+        };
+        let pass = split_attention::Backward {
+            queries: &self.values[ranges[0].clone()],
+            keys_values: &self.values[ranges[1].clone()],
+            weights: &self.values[weights..][..pairs],
+            shares: &self.values[shares..][..queries],
+            output: &self.values[own.clone()],
+            d_output: &rest[..own.len()],
+            d_scores,
+            d_queries,
+            d_keys_values,
+        };
+        split_attention::backward(self.nodes[inputs[0].0 as usize].columns as usize, lists, pass);
+        if !at_place {
+            let slopes = space.split_at(lengths[0]);
+            for ((range, store), slopes) in ranges.into_iter().zip(stores).zip([slopes.0, slopes.1])
+            {
+                if let Some(store) = store {
+                    elementwise::scale(1.0, slopes, store, &mut self.slopes[range]);
                 }
-            });
-        }
-        self.from(share, own, |store, values, _, d_y, d_share| {
-            let parts = values[firsts].chunks_exact(width).zip(values[seconds].chunks_exact(width));
-            let rows = parts.zip(d_y.chunks_exact(width));
-            for (d_share, ((a, b), d_y)) in d_share.iter_mut().zip(rows) {
-                let terms = a.iter().zip(b).zip(d_y);
-                let slope: f32 = terms.map(|((a, b), d_y)| d_y * (a - b)).sum();
-                *d_share = if store == Store::Add { *d_share + slope } else { slope };
             }
-        });
+        }
+        self.scratch = scratch;
     }
 }

@@ -135,56 +135,25 @@ impl Pass<'_> {
         visible: &VisibleLists,
         heads: usize,
     ) -> Var {
-        self.attend([queries, keys_values], visible, heads, None)
-    }
-
-    /// The same, with the [masses](attention) of what each query sees, `[queries, heads]`: what lists are weighed by that
-    /// are attended to apart. They count where the output does.
-    pub fn attention_with_masses(
-        &mut self,
-        queries: Var,
-        keys_values: Var,
-        visible: &VisibleLists,
-        heads: usize,
-    ) -> [Var; 2] {
-        let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
-        let masses = self.tape.push(Operation::Given, visible.queries(), heads, needs);
-        [self.attend([queries, keys_values], visible, heads, Some(masses)), masses]
-    }
-
-    fn attend(
-        &mut self,
-        [queries, keys_values]: [Var; 2],
-        visible: &VisibleLists,
-        heads: usize,
-        masses: Option<Var>,
-    ) -> Var {
         let [count, width] = self.size(queries);
         assert_eq!((count, 2 * width), (visible.queries(), self.size(keys_values)[1]), "sizes");
         let shape = AttentionShape { width, heads };
         let (lists, kept) = self.tape.lists.next();
         kept.copy_from(visible);
         let pairs = visible.pairs() * heads;
-        let start = self.tape.reserve(pairs);
-        let weights = start as u32;
-        let operation = Operation::Attend { queries, keys_values, lists, weights, shape, masses };
+        let weights = self.tape.reserve(pairs);
+        let operation =
+            Operation::Attend { queries, keys_values, lists, weights: weights as u32, shape };
         let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
         let y = self.tape.push(operation, count, width, needs);
-        let inputs = [queries, keys_values].map(|var| self.tape.of(var).range());
-        let masses = masses.map_or(start..start, |masses| self.tape.of(masses).range());
-        // Inputs, then masses, weights and the result stand behind each other.
+        let ranges = [queries, keys_values].map(|var| self.tape.of(var).range());
+        // The weights stand between the inputs and the result.
         let range = self.tape.of(y).range();
-        let (before, rest) = self.tape.values.split_at_mut(masses.start);
-        let (masses, rest) = rest.split_at_mut(masses.len());
-        let (weights, rest) = rest.split_at_mut(range.start - start);
-        let inputs = inputs.map(|range| &before[range]);
+        let (before, rest) = self.tape.values.split_at_mut(weights);
+        let (weights, rest) = rest.split_at_mut(range.start - weights);
+        let [queries, keys_values] = ranges.map(|range| &before[range]);
         let out = &mut rest[..count * width];
-        if masses.is_empty() {
-            attention::forward(shape, visible, inputs[0], inputs[1], weights, out);
-        } else {
-            let written = (weights, masses);
-            attention::forward_with_masses(shape, visible, inputs.into(), written, out);
-        }
+        attention::forward(shape, visible, queries, keys_values, &mut weights[..pairs], out);
         y
     }
 

@@ -45,7 +45,7 @@ use crate::layers::gru::GruPass;
 use crate::layers::matrix::Store;
 use crate::layers::team_attention::Sums;
 use crate::layers::unfold::UnfoldShape;
-use crate::layers::{SparseRows, TeamLists, VisibleLists};
+use crate::layers::{SparseRows, SplitLists, TeamLists, VisibleLists};
 
 pub use chunks::Chunks;
 pub use parameters::{Gru, Linear, Norm, Parameters, Places, Tensor};
@@ -83,6 +83,7 @@ pub struct Tape {
     indices: Vec<u32>,
     lists: Pool<VisibleLists>,
     teams: Pool<TeamLists>,
+    splits: Pool<SplitLists>,
     sparse: Pool<SparseRows>,
     grus: Pool<GruPass>,
     absorbed: Pool<AbsorbedAttention>,
@@ -151,6 +152,7 @@ impl Tape {
         self.used = 0;
         (self.lists.used, self.teams.used, self.sparse.used) = (0, 0, 0);
         (self.grus.used, self.absorbed.used) = (0, 0);
+        self.splits.used = 0;
         Pass { tape: self, parameters }
     }
 
@@ -322,7 +324,6 @@ enum Operation {
         lists: u32,
         weights: u32,
         shape: AttentionShape,
-        masses: Option<Var>,
     },
     SquaredScores {
         queries: Var,
@@ -412,11 +413,13 @@ enum Operation {
         indices: Indices,
         groups: u32,
     },
-    /// `share a + (1 - share) b`
-    Blend {
-        share: Var,
-        a: Var,
-        b: Var,
+    /// `weights` and `shares` are where they begin in the arena.
+    AttendSplit {
+        queries: Var,
+        keys_values: Var,
+        lists: u32,
+        weights: u32,
+        shares: u32,
     },
     /// A matrix of parameters; where it begins.
     Parameter {

@@ -75,10 +75,6 @@ fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
         t.multiply(once, other)
     });
     check("means by groups", |t, x| t.mean_by(x, &[2, 0, 2, 2, 3, 0], 4));
-    check("blend", |t, x| {
-        let (share, other) = (t.columns(x, 1..3), t.tanh(x));
-        t.blend(share, x, other)
-    });
     check("softmax", |t, x| t.softmax(x));
     check("log-softmax", |t, x| t.log_softmax(x));
     check("gather", |t, x| t.gather(x, &[3, 0, 3, 5]));
@@ -211,50 +207,53 @@ fn attention_goes_over_shared_keys_and_values() {
     });
 }
 
-/// Lists of four queries among four rows, in two parts, either or both of which may be empty.
-fn parts() -> [VisibleLists; 3] {
+/// What four queries see among four rows, in two parts of which either or both may be empty: in lists, of all and of each part.
+fn parts() -> (SplitLists, [VisibleLists; 3]) {
     let seen: [[&[usize]; 2]; 4] = [[&[0, 1], &[2, 3]], [&[2], &[]], [&[], &[3, 1]], [&[], &[]]];
-    let mut lists: [VisibleLists; 3] = Default::default();
+    let (mut split, mut lists) = (SplitLists::default(), <[VisibleLists; 3]>::default());
     for [within, across] in seen {
-        for (list, rows) in lists.iter_mut().zip([within, across, &[within, across].concat()]) {
+        split.push(within.iter().copied(), across.iter().copied());
+        for (list, rows) in lists.iter_mut().zip([&[within, across].concat(), within, across]) {
             rows.iter().for_each(|row| list.push(*row));
             list.end_list();
         }
     }
-    lists
+    (split, lists)
 }
 
 #[test]
 fn what_is_seen_in_parts_is_what_is_seen_at_once() {
-    let [within, across, all] = parts();
-    let (queries, keys_values) = (random(1, 4 * 8), random(2, 4 * 16));
+    let (split, lists) = parts();
+    let (queries, keys_values) = (random(1, 4 * 16), random(2, 4 * 32));
     let mut tape = Tape::default();
     let mut t = tape.begin(&[]);
-    let queries = t.input(8, &queries);
-    let keys_values = t.input(16, &keys_values);
-    let lists = [&all, &within, &across];
-    let want = lists.map(|list| t.attention(queries, keys_values, list, 2));
-    let found = t.attention_in_parts(queries, keys_values, [&within, &across], 2);
-    for (want, found) in want.into_iter().zip(found) {
+    let (queries, keys_values) = (t.input(16, &queries), t.input(32, &keys_values));
+    let want = lists.map(|list| t.attention(queries, keys_values, &list, 4));
+    let want = t.stack(&want);
+    for parts in [true, false] {
+        let found = t.split_attention(queries, keys_values, &split, parts);
+        assert_eq!(t.size(found), [if parts { 12 } else { 4 }, 16]);
         let numbers = t.values(want).iter().zip(t.values(found));
         numbers.for_each(|(want, found)| assert!((want - found).abs() < 1e-6, "{want} {found}"));
     }
-    assert_eq!(t.values(found[0])[3 * 8..], [0.0; 8]);
 }
 
 #[test]
 fn gradients_of_attention_in_parts_agree_with_finite_differences() {
-    let [within, across, _] = parts();
+    let (split, _) = parts();
     let drawn = &mut stream(3, 1, 0);
     let mut p = Parameters::default();
     let (queries, keys_values) =
-        (p.projection("queries", 8, 8, drawn), p.projection("keys_values", 8, 16, drawn));
-    for part in 0..4 {
-        check("attention in parts", &p, (4, 8), |t, x| {
-            let (queries, keys_values) = (t.linear(x, queries), t.linear(x, keys_values));
-            let all = t.attention_in_parts(queries, keys_values, [&within, &across], 2);
-            all.get(part).copied().unwrap_or_else(|| t.concat(&all))
-        });
+        (p.projection("queries", 16, 16, drawn), p.projection("keys_values", 16, 32, drawn));
+    for parts in [false, true] {
+        // Once, and twice with the same queries, keys and values.
+        for times in [1, 2] {
+            check("attention in parts", &p, (4, 16), |t, x| {
+                let (queries, keys_values) = (t.linear(x, queries), t.linear(x, keys_values));
+                let all = [(); 2].map(|()| t.split_attention(queries, keys_values, &split, parts));
+                t.stack(&all[..times])
+            });
+        }
     }
 }
 

@@ -1,0 +1,406 @@
+//! Attention to everything that is seen and, for imagination, to its two parts, at the price of one.
+//!
+//! A partition splits what a query sees into the rows *within* its part and those *across*. Scores are
+//! taken once, and each part has a softmax of its own. The softmax over both is the same but for one
+//! number a head, the share of the mass that lies within, so that what the query gets from everything is
+//! `share * within + (1 - share) * across`: exact, and no pair is looked at twice.
+
+use std::ops::Range;
+use std::slice::SliceIndex;
+
+use sortie_core::internal::math::exp;
+
+use super::vectors::dots;
+use super::wide::{Work, run_widest};
+
+/// The queries' outputs, one behind the other: from everything and, with imagination, from within and
+/// from across.
+pub const BLOCKS: usize = 3;
+/// Attention heads, as in all experiments of the dissertation.
+pub const HEADS: usize = 4;
+
+/// The tensors of a forward pass.
+#[derive(Debug)]
+pub struct Forward<'a> {
+    /// Queries `[queries, width]`.
+    pub queries: &'a [f32],
+    /// `[rows, 2 * width]`: each row's key, then its value.
+    pub keys_values: &'a [f32],
+    /// Attention weights `[pairs, heads]`, each part's own; written.
+    pub weights: &'a mut [f32],
+    /// The share of the mass within, `[queries, heads]`; written.
+    pub shares: &'a mut [f32],
+    /// `[blocks, queries, width]`, three blocks or the first; written.
+    pub output: &'a mut [f32],
+}
+
+/// The widths that attention is built for.
+pub const WIDTHS: [usize; 4] = [16, 32, 64, 128];
+
+/// Attends, at a width of 16, 32, 64 or 128. There are as many blocks as `output` has room for.
+pub fn forward(width: usize, lists: &SplitLists, pass: Forward<'_>) {
+    run_widest(ForwardWork { width, lists, pass });
+}
+
+struct ForwardWork<'a> {
+    width: usize,
+    lists: &'a SplitLists,
+    pass: Forward<'a>,
+}
+
+impl Work for ForwardWork<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        match self.width {
+            16 => self.attend::<4>(),
+            32 => self.attend::<8>(),
+            64 => self.attend::<16>(),
+            128 => self.attend::<32>(),
+            width => panic!("no attention of width {width}"),
+        }
+    }
+}
+
+/// Numbers of every head.
+type Heads = [f32; HEADS];
+/// A query, key or value.
+type Vector<const HEAD: usize> = [[f32; HEAD]; HEADS];
+
+/// Vector `index` of those that stand behind each other.
+#[inline(always)]
+fn vector<const HEAD: usize>(vectors: &[f32], index: usize) -> &Vector<HEAD> {
+    let (heads, _) = vectors[index * HEADS * HEAD..][..HEADS * HEAD].as_chunks::<HEAD>();
+    heads.first_chunk().expect("a part per head")
+}
+
+/// As [`vector`], to be changed.
+#[inline(always)]
+fn vector_mut<const HEAD: usize>(vectors: &mut [f32], index: usize) -> &mut Vector<HEAD> {
+    let (heads, _) = vectors[index * HEADS * HEAD..][..HEADS * HEAD].as_chunks_mut::<HEAD>();
+    heads.first_chunk_mut().expect("a part per head")
+}
+
+/// Adds to `sum` a vector times a factor per head.
+#[inline(always)]
+fn add<const HEAD: usize>(sum: &mut Vector<HEAD>, factors: &Heads, values: &Vector<HEAD>) {
+    for head in 0..HEADS {
+        for i in 0..HEAD {
+            sum[head][i] += factors[head] * values[head][i];
+        }
+    }
+}
+
+/// The dot product of every head.
+#[inline(always)]
+fn dot<const HEAD: usize>(one: &Vector<HEAD>, other: &Vector<HEAD>) -> Heads {
+    let mut out = [0.0; HEADS];
+    dots(one.as_flattened(), other.as_flattened(), &mut out);
+    out
+}
+
+impl ForwardWork<'_> {
+    #[inline(always)]
+    fn attend<const HEAD: usize>(self) {
+        let scale = 1.0 / (HEAD as f32).sqrt();
+        let Self { lists, pass, .. } = self;
+        let agents = lists.queries();
+        let imagines = pass.output.len() > agents * HEADS * HEAD;
+        let (weights, _) = pass.weights.as_chunks_mut::<HEADS>();
+        let (shares, _) = pass.shares.as_chunks_mut::<HEADS>();
+        for (query, (pairs, split)) in lists.spans().enumerate() {
+            let list = &lists.rows()[pairs.clone()];
+            let weights = &mut weights[pairs];
+            let own = vector::<HEAD>(pass.queries, query);
+            for (row, weights) in list.iter().zip(&mut *weights) {
+                let key = vector(pass.keys_values, 2 * *row as usize);
+                *weights = dot(own, key).map(|score| scale * score);
+            }
+            if !imagines {
+                softmax(weights);
+                *vector_mut(pass.output, query) = sum::<HEAD>(list, weights, pass.keys_values);
+                continue;
+            }
+            let (inner, outer) = weights.split_at_mut(split);
+            let share = share(softmax(inner), softmax(outer));
+            shares[query] = share;
+            let within = sum::<HEAD>(&list[..split], inner, pass.keys_values);
+            let across = sum::<HEAD>(&list[split..], outer, pass.keys_values);
+            *vector_mut(pass.output, agents + query) = within;
+            *vector_mut(pass.output, 2 * agents + query) = across;
+            let everything = vector_mut(pass.output, query);
+            *everything = [[0.0; HEAD]; HEADS];
+            add(everything, &share, &within);
+            add(everything, &share.map(|share| 1.0 - share), &across);
+        }
+    }
+}
+
+/// The sum of the listed values, weighted.
+#[inline(always)]
+fn sum<const HEAD: usize>(list: &[u32], weights: &[Heads], keys_values: &[f32]) -> Vector<HEAD> {
+    let mut sum = [[0.0; HEAD]; HEADS];
+    for (row, weights) in list.iter().zip(weights) {
+        add(&mut sum, weights, vector(keys_values, 2 * *row as usize + 1));
+    }
+    sum
+}
+
+/// The mass of a softmax: the largest score, and the sum of `exp(score - largest)`.
+#[derive(Clone, Copy)]
+struct Mass {
+    largest: Heads,
+    sum: Heads,
+}
+
+/// Softmax over the pairs of each head, in place. An empty list has no mass.
+#[inline(always)]
+fn softmax(scores: &mut [Heads]) -> Mass {
+    let mut mass = Mass { largest: [f32::NEG_INFINITY; HEADS], sum: [0.0; HEADS] };
+    for scores in scores.iter() {
+        for (largest, score) in mass.largest.iter_mut().zip(scores) {
+            *largest = if *score > *largest { *score } else { *largest };
+        }
+    }
+    for scores in scores.iter_mut() {
+        let totals = mass.largest.iter().zip(&mut mass.sum);
+        for (score, (largest, sum)) in scores.iter_mut().zip(totals) {
+            *score = exp(*score - largest);
+            *sum += *score;
+        }
+    }
+    let factors = mass.sum.map(|sum| 1.0 / sum);
+    for weights in scores {
+        for (weight, factor) in weights.iter_mut().zip(factors) {
+            *weight *= factor;
+        }
+    }
+    mass
+}
+
+/// The share of the first of two masses.
+#[inline(always)]
+fn share(first: Mass, second: Mass) -> Heads {
+    std::array::from_fn(|head| {
+        if first.sum[head] == 0.0 {
+            return 0.0;
+        }
+        if second.sum[head] == 0.0 {
+            return 1.0;
+        }
+        let largest = first.largest[head].max(second.largest[head]);
+        let size = |mass: &Mass| mass.sum[head] * exp(mass.largest[head] - largest);
+        let (first, second) = (size(&first), size(&second));
+        first / (first + second)
+    })
+}
+
+/// The tensors of a backward pass through [`forward`].
+#[derive(Debug)]
+pub struct Backward<'a> {
+    /// As in the forward pass.
+    pub queries: &'a [f32],
+    /// As in the forward pass.
+    pub keys_values: &'a [f32],
+    /// What the forward pass wrote.
+    pub weights: &'a [f32],
+    /// What the forward pass wrote.
+    pub shares: &'a [f32],
+    /// What the forward pass wrote.
+    pub output: &'a [f32],
+    /// Gradient of the output, as many blocks.
+    pub d_output: &'a [f32],
+    /// Space for `[pairs, heads]` numbers.
+    pub d_scores: &'a mut [f32],
+    /// Gradient of the queries, overwritten.
+    pub d_queries: &'a mut [f32],
+    /// Gradient of keys and values `[rows, 2 * width]`, overwritten.
+    pub d_keys_values: &'a mut [f32],
+}
+
+/// Writes the gradients of queries, keys and values.
+pub fn backward(width: usize, lists: &SplitLists, pass: Backward<'_>) {
+    run_widest(BackwardWork { width, lists, pass });
+}
+
+struct BackwardWork<'a> {
+    width: usize,
+    lists: &'a SplitLists,
+    pass: Backward<'a>,
+}
+
+impl Work for BackwardWork<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        match self.width {
+            16 => self.descend::<4>(),
+            32 => self.descend::<8>(),
+            64 => self.descend::<16>(),
+            128 => self.descend::<32>(),
+            width => panic!("no attention of width {width}"),
+        }
+    }
+}
+
+impl BackwardWork<'_> {
+    #[inline(always)]
+    fn descend<const HEAD: usize>(self) {
+        let Self { lists, pass, .. } = self;
+        let agents = lists.queries();
+        let scale = 1.0 / (HEAD as f32).sqrt();
+        let imagines = pass.d_output.len() > agents * HEADS * HEAD;
+        pass.d_keys_values.fill(0.0);
+        let (weights, _) = pass.weights.as_chunks::<HEADS>();
+        let (shares, _) = pass.shares.as_chunks::<HEADS>();
+        let (d_scores, _) = pass.d_scores.as_chunks_mut::<HEADS>();
+        for (query, (pairs, split)) in lists.spans().enumerate() {
+            let list = &lists.rows()[pairs.clone()];
+            let (weights, d_scores) = (&weights[pairs.clone()], &mut d_scores[pairs]);
+            let d_all = vector::<HEAD>(pass.d_output, query);
+            let values = (pass.keys_values, &mut *pass.d_keys_values);
+            if imagines {
+                let part = |tensor, part: usize| vector::<HEAD>(tensor, part * agents + query);
+                let (mut d_within, mut d_across) =
+                    (*part(pass.d_output, 1), *part(pass.d_output, 2));
+                let share = &shares[query];
+                add(&mut d_within, share, d_all);
+                add(&mut d_across, &share.map(|share| 1.0 - share), d_all);
+                let gains = [1, 2].map(|it| dot(d_all, part(pass.output, it)));
+                let d_mass = std::array::from_fn(|head| {
+                    share[head] * (1.0 - share[head]) * (gains[0][head] - gains[1][head])
+                });
+                let (inner, outer) =
+                    (Part::new(list, weights, ..split), Part::new(list, weights, split..));
+                let (d_inner, d_outer) = d_scores.split_at_mut(split);
+                let (keys_values, d_keys_values) = values;
+                inner.descend(&d_within, &d_mass, (keys_values, d_keys_values), d_inner);
+                let d_mass = d_mass.map(|d| -d);
+                outer.descend(&d_across, &d_mass, (keys_values, d_keys_values), d_outer);
+            } else {
+                Part::new(list, weights, ..).descend(d_all, &[0.0; HEADS], values, d_scores);
+            }
+            let own = vector::<HEAD>(pass.queries, query);
+            let mut d_own = [[0.0; HEAD]; HEADS];
+            for (row, d_score) in list.iter().zip(&*d_scores) {
+                let d_score = d_score.map(|d| scale * d);
+                add(&mut d_own, &d_score, vector(pass.keys_values, 2 * *row as usize));
+                add(vector_mut(pass.d_keys_values, 2 * *row as usize), &d_score, own);
+            }
+            *vector_mut(pass.d_queries, query) = d_own;
+        }
+    }
+}
+
+/// The pairs of one softmax.
+struct Part<'a> {
+    list: &'a [u32],
+    weights: &'a [Heads],
+}
+
+impl<'a> Part<'a> {
+    #[inline(always)]
+    fn new<R>(list: &'a [u32], weights: &'a [Heads], range: R) -> Self
+    where
+        R: SliceIndex<[u32], Output = [u32]> + SliceIndex<[Heads], Output = [Heads]> + Clone,
+    {
+        Self { list: &list[range.clone()], weights: &weights[range] }
+    }
+
+    /// Adds to the gradients of the values and writes those of the scores, for a loss with these slopes by
+    /// the weighted sum and by the logarithm of the mass.
+    #[inline(always)]
+    fn descend<const HEAD: usize>(
+        self,
+        d_sum: &Vector<HEAD>,
+        d_mass: &Heads,
+        (keys_values, d_keys_values): (&[f32], &mut [f32]),
+        d_scores: &mut [Heads],
+    ) {
+        let mut total = d_mass.map(|d| -d);
+        for ((row, weights), d_score) in self.list.iter().zip(self.weights).zip(&mut *d_scores) {
+            let value = 2 * *row as usize + 1;
+            *d_score = dot(d_sum, vector(keys_values, value));
+            add(vector_mut(d_keys_values, value), weights, d_sum);
+            for head in 0..HEADS {
+                total[head] += weights[head] * d_score[head];
+            }
+        }
+        for (weights, d_score) in self.weights.iter().zip(d_scores) {
+            for head in 0..HEADS {
+                d_score[head] = weights[head] * (d_score[head] - total[head]);
+            }
+        }
+    }
+}
+
+/// For each query the rows that it sees: those within its part of a partition, then those across.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SplitLists {
+    /// Query i sees `rows[ends[i] .. ends[i + 1]]`; the first end is 0.
+    ends: Vec<u32>,
+    /// Where in `rows` the rows across begin, per query.
+    splits: Vec<u32>,
+    rows: Vec<u32>,
+}
+
+impl Default for SplitLists {
+    fn default() -> Self {
+        Self { ends: vec![0], splits: Vec::new(), rows: Vec::new() }
+    }
+}
+
+impl SplitLists {
+    /// Forgets all lists, keeps the memory.
+    pub fn clear(&mut self) {
+        self.ends.truncate(1);
+        self.splits.clear();
+        self.rows.clear();
+    }
+
+    /// Adds the list of one query: rows within its part, and across. Without a partition all are within.
+    pub fn push(
+        &mut self,
+        within: impl Iterator<Item = usize>,
+        across: impl Iterator<Item = usize>,
+    ) {
+        self.rows.extend(within.map(|row| row as u32));
+        self.splits.push(self.rows.len() as u32);
+        self.rows.extend(across.map(|row| row as u32));
+        self.ends.push(self.rows.len() as u32);
+    }
+
+    /// Becomes a copy of others, keeps the memory.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.ends.clone_from(&other.ends);
+        self.splits.clone_from(&other.splits);
+        self.rows.clone_from(&other.rows);
+    }
+
+    /// Number of queries.
+    pub fn queries(&self) -> usize {
+        self.splits.len()
+    }
+
+    #[inline(always)]
+    fn rows(&self) -> &[u32] {
+        &self.rows
+    }
+
+    /// Total length of all lists.
+    pub fn pairs(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// The pairs of every query, and how many of them lie within.
+    #[inline(always)]
+    fn spans(&self) -> impl Iterator<Item = (Range<usize>, usize)> {
+        let ends = self.ends.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
+        ends.zip(&self.splits).map(|(pairs, split)| {
+            let within = *split as usize - pairs.start;
+            (pairs, within)
+        })
+    }
+}
