@@ -26,7 +26,7 @@ pub mod learners {
 /// Allocators that propose, as graphs.
 pub mod proposals {
     pub use crate::alma::windows::allocation::{AllocationShape, CriticWeights, PolicyWeights};
-    pub use crate::alma::{ProposalGraphs, export_proposals};
+    pub use crate::alma::windows::{ProposalGraphs, export_proposals};
 }
 
 /// Every method of this crate.

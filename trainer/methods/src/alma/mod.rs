@@ -50,8 +50,6 @@ use records::{Records, STAND_INS};
 use teams::Allocation;
 use windows::WindowLearner;
 
-pub use export::{ProposalGraphs, export_proposals};
-
 /// What a run learns by.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Config {

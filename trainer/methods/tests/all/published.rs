@@ -204,10 +204,10 @@ fn an_allocator_learns_for_agents_of_another_run_that_stay_as_they_are() {
     let from = format!("run.from={}", first.path().display());
     let frozen = [&from, "low_level.frozen=true"];
     run(&mut begin(small(&ALMA, &frozen), 2, 1, second.path()).unwrap(), u64::MAX);
-    let [first, second] = [first, second].map(|folder| open_windows(folder.path()).method);
-    assert_eq!(first.low_level.online.agents, second.low_level.online.agents);
-    let [first, second] = [first, second].map(|method| method.allocation.unwrap());
-    assert_ne!(first.networks().policy, second.networks().policy);
+    let [one, other] = [&first, &second].map(|folder| open_windows(folder.path()).method);
+    assert_eq!(one.low_level.online.agents, other.low_level.online.agents);
+    let [one, other] = [one, other].map(|method| method.allocation.unwrap());
+    assert_ne!(one.networks().policy, other.networks().policy);
 
     let other = tempfile::tempdir().unwrap();
     let wide = small(&ALMA, &[&frozen[..], &["low_level.width=32"]].concat());

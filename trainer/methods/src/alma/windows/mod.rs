@@ -8,6 +8,7 @@
 pub mod allocation;
 pub mod config;
 mod deciding;
+mod export;
 pub mod low_level;
 mod method;
 mod popart;
@@ -22,6 +23,7 @@ use sortie_nn::layers::SparseRows;
 
 pub use config::{Config, Exploration};
 pub use deciding::{ExploringAllocator, ProposalAllocator};
+pub use export::{ProposalGraphs, export_proposals};
 pub use method::WindowLearner;
 pub use popart::{PopArt, Rescale};
 pub use rollout::{Behaviour, Rollout};

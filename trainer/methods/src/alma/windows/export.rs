@@ -5,7 +5,7 @@
 //! every agent, with the embedding of the subtask that was chosen taken over in between. Counts are raw, the graphs
 //! scale them; the order of the subtasks is the identity.
 
-use crate::alma::windows::allocation::{AllocationShape, CriticWeights, PolicyWeights};
+use super::allocation::{AllocationShape, CriticWeights, PolicyWeights};
 use sortie_learn::export::attention::{ExportError, axis, check};
 use sortie_learn::export::onnx::{Attribute, Dim, Element, Graph};
 

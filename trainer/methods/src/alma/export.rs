@@ -1,17 +1,11 @@
 //! Agents and allocators of ALMA as they are deployed, and what cards say of them.
 
-mod proposals;
-#[cfg(test)]
-mod tests;
-
 use sortie_core::Policy;
 use sortie_learn::LearnError;
 use sortie_learn::export::{DeployedAgents, DeployedNetworks, Words};
 
 use super::agents::{Conditioning, NetworkPolicy, UtilityNetwork};
 use super::teams::Agents;
-
-pub use proposals::{ProposalGraphs, export_proposals};
 
 /// The agents as they are deployed.
 ///
@@ -72,3 +66,6 @@ pub(super) fn skips(agents: &UtilityNetwork, allocator: Option<&UtilityNetwork>)
          `relu(W o + b + V x)` with the own embedding x, published without `V x`.\n"
     )
 }
+
+#[cfg(test)]
+mod tests;
