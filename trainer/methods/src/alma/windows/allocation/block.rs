@@ -7,7 +7,7 @@ use std::ops::Range;
 use sortie_nn::layers::{SparseRows, VisibleLists};
 
 use super::AllocationShape;
-use super::networks::COUNT_SCALE;
+use super::rows::COUNT_SCALE;
 use super::rows::States;
 use crate::alma::windows::NO_TASK;
 

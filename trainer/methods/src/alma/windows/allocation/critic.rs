@@ -8,7 +8,7 @@ use sortie_nn::layers::{SparseRows, VisibleLists};
 
 use super::AllocationShape;
 use super::block::NONE;
-use super::networks::COUNT_SCALE;
+use super::rows::COUNT_SCALE;
 use super::rows::{States, team_size};
 use crate::alma::windows::NO_TASK;
 

@@ -11,9 +11,6 @@ use super::{AllocationShape, CriticWeights, PolicyWeights};
 use crate::alma::agents::{drawn, transpose};
 use crate::alma::windows::popart::PopArt;
 
-/// What counts of agents and of other entities are multiplied by.
-pub(super) const COUNT_SCALE: f32 = 0.2;
-
 /// Numbers of every tensor in the order of the flat vector, and the inputs of its layer.
 pub(super) type Tensors<const COUNT: usize> = [(usize, usize); COUNT];
 
@@ -22,7 +19,7 @@ pub(super) type Tensors<const COUNT: usize> = [(usize, usize); COUNT];
 pub(super) struct CriticLayers {
     heads: usize,
     /// `[d + T + 3, E]`: features; task columns; the counts of agents and of other entities and 1, these
-    /// three times [`COUNT_SCALE`].
+    /// three times [`COUNT_SCALE`](super::rows::COUNT_SCALE).
     embedding: Linear,
     queries: Linear,
     keys_values: Linear,
@@ -76,7 +73,7 @@ pub(super) struct PolicyLayers {
     pub(super) queries: Linear,
     pub(super) keys_values: Linear,
     pub(super) out: Linear,
-    /// `[3, E]`: other entities, agents, 1; only the counts are times [`COUNT_SCALE`].
+    /// `[3, E]`: other entities, agents, 1; only the counts are times [`COUNT_SCALE`](super::rows::COUNT_SCALE).
     pub(super) count: usize,
     /// The half of the update that sees the task.
     pub(super) update_task: Linear,

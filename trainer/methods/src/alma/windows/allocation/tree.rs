@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use super::block::{Block, NONE};
-use super::networks::COUNT_SCALE;
+use super::rows::COUNT_SCALE;
 
 /// The logarithm of the probability of what cannot be chosen: none, yet a number that can be calculated with.
 pub(super) const IMPOSSIBLE: f32 = -1e9;
