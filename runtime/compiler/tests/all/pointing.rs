@@ -9,7 +9,7 @@ use sortie_plans::{CompileOptions, inspect_plan, random_observations};
 
 use crate::support::beside_truth;
 
-/// Its file, features, actions, whether last actions are features too, and the first entity that is aimed at.
+/// Its file, features, actions, and the first entity that is aimed at.
 const AGENTS: [(&str, usize, usize, usize); 2] =
     [("agent_pointing_small", 6, 6, 2), ("agent_pointing_gru", 7, 4, 0)];
 

@@ -31,8 +31,7 @@ fn observations(shape: Shape, count: usize, seed: u64) -> Vec<OwnedObservation> 
     random_observations(count, shape.n_max, shape.features, shape.actions, seed)
 }
 
-/// The largest distance of a plan's answers from the plain loops', relative to the largest utility, and whether some
-/// target was seen and some was not.
+/// The largest distance of a plan's answers from the plain loops', relative to the largest utility.
 fn distance(plan: &[u8], layers: &AgentLayers, seen: &[OwnedObservation]) -> f64 {
     let mut largest = 0.0_f64;
     for (observation, got) in seen.iter().zip(ask(plan, seen)) {
