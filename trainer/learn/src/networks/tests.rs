@@ -212,6 +212,12 @@ fn aimed_actions_are_worth_what_their_targets_are() {
             for (utility, target) in own[2..].iter().zip(TARGETS.entities()) {
                 assert_eq!(*utility != 0.0, seen >> target & 1 == 1, "{agent} at {target}");
             }
+            // Targets that look different are worth different things.
+            let mut worth: Vec<u32> = own[2..].iter().map(|utility| utility.to_bits()).collect();
+            worth.retain(|bits| *bits != 0);
+            worth.sort_unstable();
+            worth.dedup();
+            assert_eq!(worth.len(), (seen >> 1).count_ones() as usize, "{own:?}");
             queries += 1;
         }
     }
