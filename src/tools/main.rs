@@ -23,6 +23,8 @@ use firmware::FirmwareArguments;
 use verify::VerifyArguments;
 
 fn main() -> ExitCode {
+    // A person is told what is wrong with the file, not where its reader gave up.
+    sortie_compiler::silence_guarded_panics();
     run_program(&Program {
         version: sortie_version::SHORT,
         built: sortie_version::LONG,

@@ -314,6 +314,17 @@ fn what_may_never_end_is_not_read() {
     assert_fails(&output(&npz), 65, &["/dev/zero", "is a device"]);
 }
 
+/// What the reader of ONNX files gives up on is told in a line, without a word of where it did.
+#[test]
+fn a_reader_that_gives_up_says_so_once() {
+    let file = |end| format!("tests/hostile/index_beyond_its_table.{end}");
+    let output = output(&["verify", &file("onnx"), "--npz", &file("npz")]);
+    let text = support::stderr(&output);
+    assert_fails(&output, 1, &["1 inputs that only one answers"]);
+    assert_eq!(text.matches("the reader gave up").count(), 1, "{text}");
+    assert!(!text.contains("panicked") && !text.contains(".rs:"), "{text}");
+}
+
 /// A pipe that nobody writes to.
 fn mute_pipe(folder: &Path) -> String {
     let path = folder.join("pipe");

@@ -25,5 +25,6 @@ pub use answer::{answer_compiler, inspect, inspect_onnx};
 pub use compile::{
     compare_with_files, compile, compile_policy, compile_proposals, compile_rounded,
 };
+pub use graph::silence_guarded_panics;
 pub use linked::{InProcess, LinkedEngines};
 pub use networks::{BatchedAgents, BatchedTeamValues, GraphPolicy, GraphTeamValue};

@@ -29,6 +29,10 @@ pub(super) struct Reporter {
 impl Reporter {
     pub(super) fn new(session: &Session, common: Common) -> Self {
         let hidden = common.json || common.quiet;
+        if !hidden {
+            // Before the bar is drawn, which would be left standing above these lines.
+            tell_of_allocator(session);
+        }
         let target =
             if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
         let bar =
@@ -43,9 +47,6 @@ impl Reporter {
         let curve = session.curve().iter().map(|point| place(score, point)).collect();
         let allocator_updates = session.curve().last().map_or(0, |point| point.allocator_updates);
         let reporter = Self { bar, training: None, score, curve, allocator_updates, common };
-        if !hidden {
-            tell_of_allocator(session);
-        }
         reporter.show();
         reporter
     }

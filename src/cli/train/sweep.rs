@@ -248,7 +248,9 @@ impl<'a> Sweep<'a> {
             let score = point.get(self.score.key()).and_then(Value::as_f64).unwrap_or(0.0);
             if let Some(steps) = point.get("env_steps").and_then(Value::as_u64) {
                 bar.set_position(steps);
-                bar.set_message(format!("{} {}", self.score.name(), self.score.text(score)));
+                let score = format!("{} {}", self.score.name(), self.score.text(score));
+                let is_over = bar.length().is_some_and(|all| steps >= all);
+                bar.set_message(if is_over { format!("{score}; last evaluation") } else { score });
             }
             if self.common.json {
                 point.insert("run_seed".to_owned(), seed.into());

@@ -1,7 +1,8 @@
 //! The graph of an ONNX file as tract simplifies it, and what the matcher asks of it.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind, set_hook, take_hook};
 use std::sync::Arc;
 
 use tract_onnx::pb;
@@ -273,9 +274,26 @@ pub(crate) fn unsupported(
     }
 }
 
+thread_local! {
+    static IS_GUARDED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Has panics of the ONNX reader, which become errors with its reason, print nothing of their own in this process.
+pub fn silence_guarded_panics() {
+    let usual = take_hook();
+    set_hook(Box::new(move |panic| {
+        if !IS_GUARDED.get() {
+            usual(panic);
+        }
+    }));
+}
+
 /// Runs tract, whose analysis can panic on damaged files, and gives its reason as text.
 pub(crate) fn guarded<T>(work: impl FnOnce() -> TractResult<T>) -> Result<T, String> {
-    match catch_unwind(AssertUnwindSafe(work)) {
+    let outer = IS_GUARDED.replace(true);
+    let done = catch_unwind(AssertUnwindSafe(work));
+    IS_GUARDED.set(outer);
+    match done {
         Ok(Ok(value)) => Ok(value),
         Ok(Err(error)) => Err(format!("{error:#}")),
         Err(panic) => {
