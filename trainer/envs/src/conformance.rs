@@ -180,11 +180,18 @@ impl Laws {
             || "subtasks beyond the shape".into(),
         )?;
         let agents = seen.agents();
+        require(u128::from(seen.absent) >> agents == 0, || {
+            format!("{agents} agents exist, of which {:b} are absent", seen.absent)
+        })?;
         for (agent, available) in seen.available.iter().enumerate() {
             let actions = self.spec.actions_of(agent).len();
             let possible = *available != 0 && u128::from(*available) >> actions == 0;
             require(possible && (agent < agents || *available == 1), || {
                 format!("agent {agent} may do {available:b}")
+            })?;
+            let acts = agent >= agents || seen.acting() >> agent & 1 == 1;
+            require(acts || available.is_power_of_two(), || {
+                format!("agent {agent} is absent, but may do {available:b}")
             })?;
             let blind = unseen_target(&self.spec, seen, agent);
             require(blind.is_none(), || {

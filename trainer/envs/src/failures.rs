@@ -173,7 +173,7 @@ impl Environment for Failing {
     fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation) {
         let (own, failed, last_actions) = self.split(state);
         self.inner.observe(own, turn, wanted, seen);
-        seen.absent = failed;
+        seen.absent |= failed;
         if failed == 0 {
             return;
         }

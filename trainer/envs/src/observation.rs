@@ -46,14 +46,14 @@ pub struct Observation {
     pub rows: SparseRows,
     /// The entities that exist. Agents are the first of all entities, and those that exist the first of them.
     pub present: EntitySet,
-    /// Agents that exist and for which nobody acts any more, so that nobody counts on them; see
-    /// [`Failing`](crate::Failing).
+    /// Agents that exist and for which nobody acts any more: dead, or [failed](crate::Failing). Their bodies are seen as far
+    /// as others observe them, but nobody counts on them: allocations and mixers leave them out.
     pub absent: AgentSet,
     /// `[A]`: the entities that each agent can observe; empty for those that do not exist.
     pub observable: Vec<EntitySet>,
     /// `[N]`: the subtasks, as bits, that each entity belongs to by itself; none for agents and absent entities.
     pub entity_task: Vec<u32>,
-    /// `[A]`: the actions that each agent may take; action 0 alone for absent agents.
+    /// `[A]`: the actions that each agent may take; one alone for absent agents, action 0 for those that do not exist.
     pub available: Vec<ActionSet>,
     /// The subtasks that exist and are not finished.
     pub open_tasks: u32,

@@ -55,7 +55,8 @@ impl View<'_> {
     }
 }
 
-/// States one behind the other. Query i belongs to row i: the rows of all agents that exist come first.
+/// States one behind the other. Query i belongs to row i: the rows of all agents that act come first. Who is
+/// [absent](Observation::absent) is a thing among others: attended to, but of no utility.
 ///
 /// Where rows are [shared](Self::share_rows), every different row stands there once: what networks make of
 /// each entity alone is made once, however often it is seen.
@@ -113,7 +114,7 @@ struct Query {
 struct Timeline {
     steps: usize,
     episodes: usize,
-    /// Agents of an episode, absent ones too.
+    /// Agents of an episode, those too that do not act.
     agents: usize,
     /// Step and slot of each row.
     rows: Vec<(usize, usize)>,
@@ -158,8 +159,8 @@ impl EntityBatch {
         seen: &Observation,
         within: impl Fn(usize) -> EntitySet,
     ) {
-        let slots = (1 << seen.observable.len()) - 1;
-        let (agents, others) = (seen.present & slots, seen.present & !slots);
+        let agents = EntitySet::from(seen.acting());
+        let others = seen.present & !agents;
         let (first_agent, first_other) = (self.rows.len(), self.others.len());
         self.states.push(Sets { agents, others, first_agent, first_other });
         self.sizes.push(agents.count_ones() as usize);
@@ -284,8 +285,8 @@ impl EntityBatch {
         (places, carry)
     }
 
-    /// Memories that go through time side by side in a view: of all blocks, all episodes, all agents of which some may be
-    /// absent.
+    /// Memories that go through time side by side in a view: of all blocks, all episodes, all agents, whether they act or
+    /// not.
     pub fn slots(&self, view: View<'_>) -> usize {
         let blocks = if view.imagines { BLOCKS } else { 1 };
         blocks * self.timeline.slots()
@@ -296,7 +297,7 @@ impl EntityBatch {
         self.sizes.is_empty()
     }
 
-    /// Number of agents of every state.
+    /// Number of agents that act in every state.
     pub fn sizes(&self) -> &[usize] {
         &self.sizes
     }
@@ -316,7 +317,7 @@ impl EntityBatch {
         &self.available
     }
 
-    /// Agents of all states.
+    /// Agents that act in all states.
     pub fn agents(&self) -> usize {
         self.queries.len()
     }
@@ -361,12 +362,12 @@ impl Timeline {
         self.rows.clear();
     }
 
-    /// Adds a state of some agents, of which these are present.
-    fn push(&mut self, moment: Moment, agents: usize, present: impl Iterator<Item = usize>) {
+    /// Adds a state of some agents, of which these act.
+    fn push(&mut self, moment: Moment, agents: usize, acting: impl Iterator<Item = usize>) {
         self.steps = self.steps.max(moment.step + 1);
         self.episodes = self.episodes.max(moment.episode + 1);
         self.agents = agents;
-        self.rows.extend(present.map(|agent| (moment.step, moment.episode * agents + agent)));
+        self.rows.extend(acting.map(|agent| (moment.step, moment.episode * agents + agent)));
     }
 
     fn slots(&self) -> usize {

@@ -285,3 +285,50 @@ fn weights_add_up_to_one_or_to_the_number_of_agents() {
         }
     }
 }
+
+/// The same state, once with an agent that does not act any more, once with its body as a thing.
+#[test]
+fn who_is_absent_is_a_thing_among_others() {
+    let whole = &states(|_| EntitySet::MAX)[0];
+    let absent = Observation { absent: 0b010, ..whole.clone() };
+    let mut body = Observation { present: 0b11111, entities: 0b11111, ..Observation::default() };
+    let order = [0, 2, 1, 3, 4];
+    order.into_iter().for_each(|entity| {
+        body.rows.push_row(&whole.rows, entity);
+        body.rows.end_row();
+    });
+    let renamed = |set: EntitySet| {
+        let new = |entity: usize| order.iter().position(|old| *old == entity).unwrap();
+        members(set).fold(0, |all, entity| all | 1 << new(entity))
+    };
+    body.observable = [0, 2].map(|agent| renamed(whole.observable[agent])).to_vec();
+    body.available = [0, 2].map(|agent| whole.available[agent]).to_vec();
+    let batch = |seen: &Observation| {
+        let mut batch = EntityBatch::default();
+        batch.push(seen);
+        batch.finish(false);
+        batch
+    };
+    let (one, other) = (batch(&absent), batch(&body));
+    assert_eq!((one.agents(), one.sizes(), one.available()), (2, &[2][..], other.available()));
+    let agents = agents(true, 0);
+    let values = utilities(&agents, &one, false);
+    assert_near(&values, &utilities(&agents, &other, false));
+    // Its body is seen: without it the others' utilities are other ones.
+    let unseen = Observation {
+        observable: whole.observable.iter().map(|set| set & !0b010).collect(),
+        ..absent.clone()
+    };
+    assert_ne!(values, utilities(&agents, &batch(&unseen), false));
+    for kind in KINDS {
+        let (mixer, weights) = mixer(mixer_shape(kind));
+        let mix = |batch: &EntityBatch| {
+            let mut tape = Tape::default();
+            let mut pass = tape.begin(&weights.values);
+            let chosen = pass.input(1, &[0.5, -2.0]);
+            let mixed = mixer.mix(&mut pass, batch, chosen).real;
+            pass.values(mixed).to_vec()
+        };
+        assert_near(&mix(&one), &mix(&other));
+    }
+}

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Policy};
 use sortie_envs::random::{chance, member};
-use sortie_envs::{ActionSet, EntitySet, Observation, Random};
+use sortie_envs::{ActionSet, EntitySet, Observation, Random, members};
 use sortie_learn::export::{DeployedAgents, DeployedNetworks};
 use sortie_learn::networks::{EntityAgent, EntityBatch};
 use sortie_learn::{Act, LearnError, Scenes};
@@ -17,7 +17,12 @@ use super::loss::best;
 #[derive(Debug, Default)]
 pub struct Acting {
     batch: EntityBatch,
+    /// Agents of a team.
     slots: usize,
+    /// The slots of those that act, team by team.
+    acting: Vec<usize>,
+    /// `[teams, A]`: the first action that is available to each.
+    available: Vec<u16>,
     tape: Tape,
     seen: Observation,
     /// Who acts, and whether its episode begins.
@@ -44,11 +49,15 @@ impl Acting {
     pub(super) fn clear(&mut self) {
         self.batch.clear();
         self.instances.clear();
+        self.acting.clear();
+        self.available.clear();
     }
 
     /// Adds the team of an instance.
     pub(super) fn push(&mut self, instance: usize, begins: bool, seen: &Observation) {
         self.slots = seen.observable.len();
+        self.acting.extend(members(seen.acting().into()));
+        self.available.extend(seen.available.iter().map(|open| open.trailing_zeros() as u16));
         self.instances.push((instance, begins));
         self.batch.push(seen);
     }
@@ -90,13 +99,13 @@ impl Acting {
         let mut pass = tape.begin(weights);
         let utilities = agents.utilities(&mut pass, batch, batch.seen(), memory);
         let rows = pass.values(utilities).chunks_exact(shape.actions);
-        let mut agents = rows.zip(batch.available());
+        let mut agents = rows.zip(batch.available()).zip(&self.acting);
+        // Who does not act has nothing to choose from.
+        actions[..self.available.len()].copy_from_slice(&self.available);
         let teams = batch.sizes().iter().zip(actions.chunks_exact_mut(self.slots.max(1)));
         for (team, (size, actions)) in teams.enumerate() {
-            for (action, (utilities, available)) in
-                actions.iter_mut().zip(agents.by_ref().take(*size))
-            {
-                *action = choose(team, best(utilities, *available), *available) as u16;
+            for ((utilities, available), agent) in agents.by_ref().take(*size) {
+                actions[*agent] = choose(team, best(utilities, *available), *available) as u16;
             }
         }
         self.keep(shape.memory);

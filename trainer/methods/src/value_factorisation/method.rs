@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use sortie_envs::{EntitySet, Environment, Random};
+use sortie_envs::{EntitySet, Environment, Random, members};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::learner::Rules;
 use sortie_learn::networks::Moment;
@@ -212,8 +212,8 @@ impl Gathering<'_> {
             self.environment.companions(state, companions);
         }
         before.push_at(moment, seen, |agent| partitions.within(part, companions[agent], agent));
-        let done = &self.replay.actions(place)[..seen.agents()];
-        actions.extend(done.iter().map(|action| u32::from(*action)));
+        let done = self.replay.actions(place);
+        actions.extend(members(seen.acting().into()).map(|agent| u32::from(done[agent])));
     }
 }
 

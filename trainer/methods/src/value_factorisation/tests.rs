@@ -378,3 +378,24 @@ fn without_imagination_lambda_is_none_and_a_lambda_of_nothing_changes_no_gradien
         }
     }
 }
+
+/// Actions are those of the agents that act, also where one before them does not.
+#[test]
+fn who_is_absent_does_what_is_left_to_it() {
+    let (networks, parameters) = networks(shape(MixerKind::Sum, true), 3);
+    let whole = &states(1, |_| EntitySet::MAX)[0];
+    let chosen = |seen: &Observation| {
+        let (mut acting, mut actions) = (Acting::default(), [9; 3]);
+        acting.push(0, true, seen);
+        acting.choose(&networks.agents, &parameters.values, &mut actions);
+        actions
+    };
+    let everybody = chosen(whole);
+    for agent in 0..3 {
+        let mut seen = Observation { absent: 1 << agent, ..whole.clone() };
+        seen.available[agent] = 0b1000;
+        let mut want = everybody;
+        want[agent] = 3;
+        assert_eq!(chosen(&seen), want, "{agent}");
+    }
+}
