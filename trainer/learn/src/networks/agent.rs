@@ -14,7 +14,6 @@ use sortie_nn::layers::split_attention::HEADS;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Gru, Linear, Parameters, Pass, Var};
 
-use super::BLOCKS;
 use super::attention::{Attended, EntityAttention, LookShape};
 use super::batch::{Aims, EntityBatch, View};
 use crate::export::{AttentionNetwork, GruCell, Layer, Layout, Matrix, PointingHead};
@@ -141,7 +140,7 @@ impl EntityAgent {
         let Some(skip) = self.skip else { return hidden };
         let own = attended.own(pass, view);
         let own = pass.linear(own, skip);
-        let own = if view.imagines { pass.stack(&[own; BLOCKS]) } else { own };
+        // Where there are three blocks, to each of them.
         pass.add(hidden, own)
     }
 

@@ -191,11 +191,13 @@ impl EntityBatch {
         self.known.clear();
         self.pairs.iter_mut().for_each(Vec::clear);
         let mut queries = (0..).zip(&self.queries);
+        let mut rows = [0; EntitySet::BITS as usize];
         for sets in &self.states {
-            let row = |entity: usize| {
-                let row = sets.row_of(entity, agents);
-                self.shared.as_ref().map_or(row, |shared| shared.places[row] as usize)
-            };
+            for (entity, row) in sets.rows(agents) {
+                rows[entity] =
+                    self.shared.as_ref().map_or(row, |shared| shared.places[row] as usize);
+            }
+            let row = |entity: usize| rows[entity];
             for (number, query) in queries.by_ref().take(sets.agents.count_ones() as usize) {
                 let part = if imagines { query.within } else { EntitySet::MAX };
                 let list = |lists: &mut SplitLists, seen: EntitySet| {
@@ -324,14 +326,10 @@ impl EntityBatch {
 }
 
 impl Sets {
-    /// The row of an entity that exists, where so many rows are of agents.
-    fn row_of(&self, entity: usize, agents: usize) -> usize {
-        let before = (1u128 << entity) - 1;
-        if self.agents >> entity & 1 == 1 {
-            self.first_agent + (self.agents & before).count_ones() as usize
-        } else {
-            agents + self.first_other + (self.others & before).count_ones() as usize
-        }
+    /// The entities that exist and their rows, where so many rows are of agents.
+    fn rows(&self, agents: usize) -> impl Iterator<Item = (usize, usize)> {
+        let others = members(self.others).zip(agents + self.first_other..);
+        members(self.agents).zip(self.first_agent..).chain(others)
     }
 }
 

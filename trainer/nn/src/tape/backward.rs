@@ -141,7 +141,11 @@ impl Tape {
             Operation::Add { a, b } => {
                 for x in [a, b] {
                     self.from(x, own.clone(), |store, _, _, d_y, d_x| {
-                        elementwise::scale(1.0, d_y, store, d_x);
+                        // The second may have been added to several blocks.
+                        for (block, d_y) in d_y.chunks_exact(d_x.len().max(1)).enumerate() {
+                            let store = if block == 0 { store } else { Store::Add };
+                            elementwise::scale(1.0, d_y, store, d_x);
+                        }
                     });
                 }
             }

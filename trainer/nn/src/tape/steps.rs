@@ -159,10 +159,16 @@ impl Pass<'_> {
         })
     }
 
-    /// `a + b`
+    /// `a + b`; a `b` of fewer rows is added to every block of as many.
     pub fn add(&mut self, a: Var, b: Var) -> Var {
-        let size = self.common_size(a, b);
-        self.join(Operation::Add { a, b }, [a, b], size, elementwise::add)
+        let (size, repeated) = (self.size(a), self.size(b));
+        assert!(size[1] == repeated[1] && size[0].is_multiple_of(repeated[0]), "sizes");
+        self.join(Operation::Add { a, b }, [a, b], size, |a, b, y| {
+            let block = b.len().max(1);
+            for (a, y) in a.chunks_exact(block).zip(y.chunks_exact_mut(block)) {
+                elementwise::add(a, b, y);
+            }
+        })
     }
 
     /// `a b`, number by number.

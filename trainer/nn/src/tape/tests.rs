@@ -122,6 +122,11 @@ fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
         let other = t.tanh(x);
         t.add(x, other)
     });
+    check("add to every block", |t, x| {
+        let (block, squares) = (t.rows(x, 1..3), t.multiply(x, x));
+        let block = t.tanh(block);
+        t.add(squares, block)
+    });
     check("rows times numbers", |t, x| {
         let by = t.sum_columns(x);
         t.scale_rows(x, by)
