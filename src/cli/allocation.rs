@@ -75,7 +75,7 @@ impl Allocation {
     }
 
     /// The rule as something that evaluations can ask.
-    pub fn measured(self) -> RuleAllocator {
+    pub fn measured(self) -> RuleAllocator<'static> {
         RuleAllocator(self.name())
     }
 

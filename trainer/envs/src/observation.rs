@@ -98,8 +98,8 @@ impl Observation {
 
     /// The agents that exist and for which somebody acts.
     pub fn acting(&self) -> AgentSet {
-        let everybody = (1_u128 << self.agents()) - 1;
-        everybody as AgentSet & !self.absent
+        let slots = (1_u128 << self.observable.len()) - 1;
+        (self.present & slots) as AgentSet & !self.absent
     }
 
     /// Number of subtasks up to the last one that is open or that something belongs to.

@@ -9,9 +9,9 @@ use crate::error::LearnError;
 
 /// One of the [rules](sortie_envs::Spec::rules) of an environment, by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RuleAllocator(pub &'static str);
+pub struct RuleAllocator<'a>(pub &'a str);
 
-impl Allocate for RuleAllocator {
+impl Allocate for RuleAllocator<'_> {
     fn allocate(
         &mut self,
         environment: &dyn Environment,

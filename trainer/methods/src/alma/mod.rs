@@ -46,8 +46,7 @@ use sortie_learn::{LearnError, Method};
 use toml::Table;
 
 use agents::Conditioning;
-use records::{Records, STAND_INS};
-use teams::Allocation;
+use records::Records;
 use windows::WindowLearner;
 
 /// What a run learns by.
@@ -81,6 +80,23 @@ impl Config {
             (_, Self::Windows(config)) if config.coach.enabled => "copa",
             (Conditioning::None, _) => "flat",
             (Conditioning::Mask | Conditioning::Input, _) => "alma",
+        }
+    }
+
+    /// Refuses rules of allocation that an environment does not have.
+    fn check_rules(&self, spec: &Spec) -> Result<(), LearnError> {
+        let rules: Vec<&str> = match self {
+            Self::Records(config) => config.allocation.rules().collect(),
+            Self::Windows(config) => config.rule().into_iter().collect(),
+        };
+        let known: Vec<&str> = spec.rules.iter().map(|rule| rule.name).collect();
+        match rules.iter().find(|rule| !known.contains(rule)) {
+            None => Ok(()),
+            Some(rule) => Err(LearnError::Config(format!(
+                "`{}` has no rule `{rule}` of allocation; it has `{}`",
+                spec.name,
+                known.join("`, `")
+            ))),
         }
     }
 
@@ -210,15 +226,13 @@ fn misfit(spec: &Spec) -> Option<&'static str> {
     if spec.shape.tasks == 0 || !spec.rewards.tasks {
         return Some("it has no subtasks with rewards of their own");
     }
-    let has = |name: &Allocation| spec.rules.iter().any(|rule| rule.name == name.name());
-    (!STAND_INS.iter().all(has)).then_some(
-        "it lacks a rule of allocation, `coordinated` or `heuristic`, that stands in at first",
-    )
+    spec.rules.is_empty().then_some("it has no rule of allocation that stands in at first")
 }
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
     let Opening { setup, environment, seed, threads } = *opening;
     let config = Config::of(setup)?;
+    config.check_rules(environment.spec())?;
     let (asked, found) = (&setup.method, config.method());
     if asked != found {
         let reason = format!("`{asked}` with these values is `{found}`: `sortie train {found}`");
@@ -247,15 +261,26 @@ mod tests {
         let mut spec = Spec {
             shape: Shape { agents: 2, entities: 4, tasks: 2, actions: 3, features: 2 },
             rewards: Rewards { tasks: true, agents: false },
-            rules: &[
-                Rule { name: "coordinated", about: "" },
-                Rule { name: "heuristic", about: "" },
-            ],
+            rules: &[Rule { name: "nearest", about: "" }],
             ..Spec::default()
         };
         assert_eq!(misfit(&spec), None);
-        spec.rules = &spec.rules[..1];
-        assert!(misfit(&spec).is_some_and(|lack| lack.contains("`heuristic`")));
+        let mut fast = records::Config::default();
+        let checked = |fast: &records::Config| {
+            let refused = Config::Records(Box::new(fast.clone())).check_rules(&spec);
+            refused.err().map(|error| error.to_string())
+        };
+        assert_eq!(checked(&fast), None);
+        fast.allocation.heuristic = 1.0;
+        assert!(checked(&fast).is_some_and(|lack| lack.contains("`heuristic`")));
+        fast.allocation.rule = "nearest".to_owned();
+        assert_eq!(checked(&fast), None);
+        let mut paper = windows::Config::default();
+        paper.allocation.by = "farthest".to_owned();
+        let refused = Config::Windows(Box::new(paper)).check_rules(&spec).unwrap_err();
+        assert!(refused.to_string().contains("it has `nearest`"), "{refused}");
+        spec.rules = &[];
+        assert!(misfit(&spec).is_some_and(|lack| lack.contains("no rule")));
         spec.shape.tasks = 0;
         assert!(misfit(&spec).is_some_and(|lack| lack.contains("no subtasks")));
     }

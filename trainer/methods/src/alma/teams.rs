@@ -1,10 +1,9 @@
 //! What a team of ALMA is made of: who allocates, and agents that act in many worlds at once, alone, with a memory, or told
 //! strategies by a coach.
 
-use serde::{Deserialize, Serialize};
 use sortie_core::Policy;
 use sortie_envs::Observation;
-use sortie_learn::subtasks::{self, AllocatedScene, MaskedViews, RuleAllocator};
+use sortie_learn::subtasks::{self, AllocatedScene, MaskedViews};
 use sortie_learn::{LearnError, Thought};
 use sortie_nn::tape::{Places, Tape};
 
@@ -13,44 +12,6 @@ use crate::alma::agents::{
     UtilityShape, best_action,
 };
 use crate::alma::coach::{Advice, Coach, strategy_of};
-
-/// Who allocates in an episode.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Allocation {
-    /// The allocator of the run.
-    Learned,
-    /// The environment's rule that looks at the whole team.
-    Coordinated,
-    /// The reference's heuristic.
-    Heuristic,
-    /// Chance.
-    Random,
-}
-
-impl Allocation {
-    const ALL: [Self; 4] = [Self::Learned, Self::Coordinated, Self::Heuristic, Self::Random];
-
-    /// The allocator of a name.
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|allocation| allocation.name() == name)
-    }
-
-    /// Its name on the command line and in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Learned => "learned",
-            Self::Coordinated => "coordinated",
-            Self::Heuristic => "heuristic",
-            Self::Random => "random",
-        }
-    }
-
-    /// The environment's rule of this name.
-    pub fn allocator(self) -> RuleAllocator {
-        RuleAllocator(self.name())
-    }
-}
 
 /// Agents that learn or have learned, greedy, on all scenes at once.
 #[derive(Debug)]
@@ -269,7 +230,7 @@ mod tests {
     use sortie_learn::evaluate::Evaluation;
     use sortie_learn::play::evaluate;
     use sortie_learn::random::{Purpose, generator};
-    use sortie_learn::subtasks::{AllocatedTeam, PolicyAgents};
+    use sortie_learn::subtasks::{AllocatedTeam, PolicyAgents, RuleAllocator};
     use sortie_learn::{Act, Scene, Scenes};
 
     /// So large weights that whatever is seen decides what is done.

@@ -6,7 +6,6 @@ use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
-use sortie_methods::learners::teams::Allocation;
 use sortie_methods::learners::windows::allocation::{AllocationLevel, AllocationState};
 use sortie_methods::learners::windows::low_level::{LowLevel, LowLevelConfig};
 use sortie_methods::learners::windows::{
@@ -103,7 +102,7 @@ impl Levels {
         let state = AllocationState { policy: drawn_policy, ..allocation.state() };
         let allocation = AllocationLevel::restore(still, state)
             .ok_or_else(|| Failure::new(Exit::Bug, "the allocator does not fit itself"))?;
-        let learned = Allocation::Learned.name().to_owned();
+        let learned = "learned".to_owned();
         let mut player = Player::new(&with_allocation(&config, &learned), seed)?;
         player.method.low_level = low.clone();
         player.method.allocation = Some(allocation.clone());

@@ -1,14 +1,13 @@
 //! Everything that decides how a run of the preset `fast` learns.
 
 use sortie_envs::Spec;
-use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Truth, Whole};
+use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Text, Truth, Whole};
 use sortie_learn::configuration::{OPTIMISER, SHARE, STEPS, exploration, require};
 use sortie_learn::session::{EnvironmentChoice, Setup};
 use sortie_learn::{LearnError, section, sections};
 
 use super::mixer::{MixerKind, MixerShape};
 use crate::alma::agents::{Columns, Conditioning, UtilityShape};
-use crate::alma::teams::Allocation;
 
 pub use sortie_learn::configuration::{ExplorationConfig, OptimiserConfig};
 
@@ -37,6 +36,9 @@ sections! {
         heuristic: f64 = 0.0, WEIGHT, "weight";
         /// Weight of uniform assignment.
         random: f64 = 0.0, WEIGHT, "weight";
+        /// A rule of the environment by its name, which allocates in all episodes, whatever the weights.
+        #[serde(default)]
+        rule: String = String::new(), Text;
         /// Steps between decisions, unless the open tasks change.
         interval: u32 = 5, Whole(1, 100_000), "steps";
         /// Largest team that the learned allocator sends to one building.
@@ -89,10 +91,10 @@ sections! {
 
     /// How the allocator learns. Until it decides, hand-written rules do.
     allocator: AllocatorConfig {
-        // Until then the coordinated rule decides in its stead: the first agents wander and teach nothing about teams.
+        // Until then the environment's first rule decides in its stead: the first agents wander and teach nothing about teams.
         /// When it begins to learn. Unless set, a run of less than 600,000 steps shrinks it in proportion.
         learns_from: u64 = 120_000, Whole(0, STEPS), "environment steps";
-        // From `learns_from` until then an episode is decided by the coordinated rule or the heuristic, with equal chance.
+        // From `learns_from` until then an episode is decided by the first rule or by the second, with equal chance.
         /// When it begins to decide. Unless set, a run of less than 600,000 steps shrinks it in proportion.
         decides_from: u64 = 150_000, Whole(0, STEPS), "environment steps";
         /// Worth of a reward one step later.
@@ -189,8 +191,8 @@ impl Config {
     }
 
     /// Who allocates where the run is measured, by name.
-    pub fn measured_allocation(&self) -> &'static str {
-        if self.network.subtask.has_subtasks() { self.allocation.measured().name() } else { "none" }
+    pub fn measured_allocation(&self) -> &str {
+        if self.network.subtask.has_subtasks() { self.allocation.measured() } else { "none" }
     }
 
     fn check(&self) -> Result<(), LearnError> {
@@ -210,29 +212,41 @@ impl Config {
     }
 }
 
+/// The name of the allocator that a run learns.
+pub(crate) const LEARNED: &str = "learned";
+
 impl AllocationConfig {
-    /// The allocators with their weights.
-    pub fn weights(&self) -> [(Allocation, f64); 4] {
+    /// The allocators by their names, with their weights.
+    pub fn weights(&self) -> [(&str, f64); 5] {
+        let by_weight = |weight: f64| if self.rule.is_empty() { weight } else { 0.0 };
         [
-            (Allocation::Learned, self.learned),
-            (Allocation::Coordinated, self.coordinated),
-            (Allocation::Heuristic, self.heuristic),
-            (Allocation::Random, self.random),
+            (LEARNED, by_weight(self.learned)),
+            ("coordinated", by_weight(self.coordinated)),
+            ("heuristic", by_weight(self.heuristic)),
+            ("random", by_weight(self.random)),
+            (&self.rule, f64::from(u8::from(!self.rule.is_empty()))),
         ]
     }
 
     /// Whether the run learns an allocator.
     pub fn is_learned(&self) -> bool {
-        self.learned > 0.0
+        self.weights()[0].1 > 0.0
     }
 
-    /// Who allocates where the run is measured: the learned allocator, else the rule of most weight.
-    pub fn measured(&self) -> Allocation {
+    /// Who allocates where the run is measured, by name: the learned allocator, else the rule of most weight.
+    pub fn measured(&self) -> &str {
         if self.is_learned() {
-            return Allocation::Learned;
+            return LEARNED;
         }
-        let heavier = |a: (Allocation, f64), b: (Allocation, f64)| if b.1 > a.1 { b } else { a };
-        self.weights().into_iter().reduce(heavier).map_or(Allocation::Learned, |(who, _)| who)
+        let rules = self.weights().into_iter().skip(1);
+        // Of several of one weight the first.
+        rules.rev().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(LEARNED, |(name, _)| name)
+    }
+
+    /// The rules that allocate in some episode, by name.
+    pub fn rules(&self) -> impl Iterator<Item = &str> {
+        let rules = self.weights().into_iter().skip(1).filter(|(_, weight)| *weight > 0.0);
+        rules.map(|(name, _)| name)
     }
 }
 
@@ -295,11 +309,14 @@ mod tests {
     #[test]
     fn a_run_is_measured_under_what_it_learns_or_mostly_sees() {
         let mut allocation = AllocationConfig { coordinated: 3.0, ..AllocationConfig::default() };
-        assert_eq!(allocation.measured(), Allocation::Learned);
+        assert_eq!(allocation.measured(), LEARNED);
         allocation.learned = 0.0;
         allocation.heuristic = 1.0;
-        assert_eq!(allocation.measured().name(), "coordinated");
+        assert_eq!(allocation.measured(), "coordinated");
         allocation.random = 4.0;
-        assert_eq!(allocation.measured().name(), "random");
+        assert_eq!(allocation.measured(), "random");
+        (allocation.learned, allocation.rule) = (1.0, "nearest".to_owned());
+        assert_eq!((allocation.measured(), allocation.is_learned()), ("nearest", false));
+        assert!(allocation.rules().eq(["nearest"]));
     }
 }

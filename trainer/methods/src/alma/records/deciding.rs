@@ -5,18 +5,50 @@ use sortie_envs::random::{below, chance, member, unit};
 use sortie_envs::{DecisionPoints, Observation, Spec, UNASSIGNED, members};
 use sortie_nn::random::Generator;
 
-use super::config::AllocationConfig;
-use super::config::AllocatorConfig;
-use super::config::Config;
+use super::config::{AllocatorConfig, Config, LEARNED};
 use super::history::Reached;
 use super::team_value::{Decision, Segment, Segments, TeamSearch};
 use crate::alma::agents::UtilityNetwork;
-use crate::alma::teams::Allocation;
 use sortie_learn::LearnError;
-use sortie_learn::subtasks::Allocate;
 
-/// Who stands in for an allocator that has not begun to decide.
-pub(crate) const STAND_INS: [Allocation; 2] = [Allocation::Coordinated, Allocation::Heuristic];
+/// The first rules of an environment stand in for an allocator that has not begun to decide, so many of them.
+const STAND_INS: usize = 2;
+
+/// Who allocates in an episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "u8", into = "u8")]
+pub(super) enum Allocation {
+    /// The allocator of the run.
+    Learned,
+    /// The environment's rule of this number.
+    Rule(u8),
+}
+
+impl Allocation {
+    /// The rule that allocates, the first where none was asked for.
+    fn rule(self) -> usize {
+        match self {
+            Self::Learned => 0,
+            Self::Rule(number) => number.into(),
+        }
+    }
+}
+
+// As a number: what checkpoints say, also older ones.
+impl From<u8> for Allocation {
+    fn from(number: u8) -> Self {
+        number.checked_sub(1).map_or(Self::Learned, Self::Rule)
+    }
+}
+
+impl From<Allocation> for u8 {
+    fn from(allocation: Allocation) -> Self {
+        match allocation {
+            Allocation::Learned => 0,
+            Allocation::Rule(number) => number + 1,
+        }
+    }
+}
 
 /// What one episode remembers between its decisions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,7 +66,7 @@ impl Decisions {
     pub(super) fn new(interval: u32, agents: usize) -> Self {
         Self {
             allocation_by: Allocation::Learned,
-            stand_in: STAND_INS[0],
+            stand_in: Allocation::Rule(0),
             points: DecisionPoints::every(interval),
             tasks_changed: false,
             allocation: vec![UNASSIGNED; agents],
@@ -43,9 +75,9 @@ impl Decisions {
     }
 
     /// A new episode begins.
-    pub(super) fn restart(&mut self, config: &AllocationConfig, generator: &mut Generator) {
-        self.allocation_by = draw(config, generator);
-        self.stand_in = STAND_INS[below(generator, STAND_INS.len())];
+    pub(super) fn restart(&mut self, deciding: &Deciding, generator: &mut Generator) {
+        self.allocation_by = draw(&deciding.allocators, generator);
+        self.stand_in = Allocation::Rule(below(generator, deciding.stand_ins) as u8);
         self.points.restart();
         self.tasks_changed = false;
         self.segment = None;
@@ -87,26 +119,38 @@ impl Decisions {
 
 #[derive(Debug)]
 pub(super) struct Deciding {
-    allocation: AllocationConfig,
+    /// Who allocates in a training episode, by weight.
+    allocators: Vec<(Allocation, f64)>,
+    /// Rules that stand in for the learned allocator.
+    stand_ins: usize,
+    /// Largest team that it sends to one subtask.
+    team_max: usize,
     allocator: AllocatorConfig,
     search: TeamSearch,
 }
 
 impl Deciding {
     pub(super) fn new(config: &Config, spec: &Spec) -> Self {
-        let (allocation, allocator) = (config.allocation.clone(), config.allocator.clone());
+        let (allocation, allocator) = (&config.allocation, config.allocator.clone());
         let search = TeamSearch::new(allocator.shape(spec), allocation.team_max);
-        Self { allocation, allocator, search }
+        // Rules that the environment does not have are of no weight.
+        let by_number = |(name, weight): (&str, f64)| {
+            let rule = spec.rules.iter().position(|rule| rule.name == name);
+            let rule = rule.map(|number| Allocation::Rule(number as u8));
+            Some((if name == LEARNED { Allocation::Learned } else { rule? }, weight))
+        };
+        Self {
+            allocators: allocation.weights().into_iter().filter_map(by_number).collect(),
+            stand_ins: spec.rules.len().clamp(1, STAND_INS),
+            team_max: allocation.team_max,
+            allocator,
+            search,
+        }
     }
 
     /// Floating-point operations of the searches up to now.
     pub(super) fn operations(&self) -> u64 {
         self.search.operations()
-    }
-
-    /// Who allocates in a training episode, and how.
-    pub(super) fn allocation(&self) -> &AllocationConfig {
-        &self.allocation
     }
 
     /// Discount of the allocator's rewards per environment step.
@@ -137,17 +181,13 @@ impl Deciding {
                 self.search.allocate(network, environment, state, generator, allocation)?;
             }
             (by, _) => {
-                let rule = match (by, learns) {
-                    (Allocation::Learned, true) => episode.stand_in,
-                    (Allocation::Learned, false) => STAND_INS[0],
-                    (rule, _) => rule,
-                };
-                rule.allocator().allocate(environment, state, generator, allocation)?;
+                let by = if by == Allocation::Learned && learns { episode.stand_in } else { by };
+                environment.allocate(by.rule(), state, generator, allocation);
             }
         }
         let explores = learns && episode.allocation_by == Allocation::Learned;
         if explores && chance(generator, self.allocator.moved_decisions) {
-            move_some(seen, self.allocator.moved, self.allocation.team_max, generator, allocation);
+            move_some(seen, self.allocator.moved, self.team_max, generator, allocation);
         }
         if let Some(segments) = segments {
             episode.begin_segment((state, seen), segments);
@@ -179,39 +219,43 @@ fn move_some(
 }
 
 /// An allocator, drawn by its weight.
-fn draw(config: &AllocationConfig, generator: &mut Generator) -> Allocation {
-    let weights = config.weights();
+fn draw(weights: &[(Allocation, f64)], generator: &mut Generator) -> Allocation {
     let total: f64 = weights.iter().map(|(_, weight)| weight).sum();
     let mut left = unit(generator) * total;
-    for (allocation, weight) in weights {
+    let drawn = weights.iter().find(|(_, weight)| {
         left -= weight;
-        if left < 0.0 {
-            return allocation;
-        }
-    }
-    config.measured()
+        left < 0.0
+    });
+    // Rounding may leave something of the last weight.
+    let last = || weights.iter().rev().find(|(_, weight)| *weight > 0.0);
+    drawn.or_else(last).map_or(Allocation::Learned, |(allocation, _)| *allocation)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::alma::records::toy::{AGENTS, Street, toy};
-    use sortie_envs::Environment;
+    use sortie_envs::{Environment, Rule};
     use sortie_learn::random::{Purpose, generator};
+
+    /// The rules of the toy: everybody to the last site, to the nearest, or to the first.
+    const LAST: Allocation = Allocation::Rule(0);
+    const NEAREST: Allocation = Allocation::Rule(1);
+
+    fn deciding(change: fn(&mut Config)) -> Deciding {
+        let mut config = Config::default();
+        change(&mut config);
+        Deciding::new(&config, toy().spec())
+    }
 
     #[test]
     fn allocators_are_drawn_by_their_weights() {
-        let config = AllocationConfig {
-            learned: 1.0,
-            coordinated: 0.0,
-            heuristic: 3.0,
-            ..AllocationConfig::default()
-        };
+        let deciding = deciding(|config| config.allocation.heuristic = 3.0);
         let mut random = generator(1, Purpose::Rollout, 0);
-        let drawn: Vec<_> = (0..4000).map(|_| draw(&config, &mut random)).collect();
+        let drawn: Vec<_> = (0..4000).map(|_| draw(&deciding.allocators, &mut random)).collect();
         let share = |who| drawn.iter().filter(|drawn| **drawn == who).count() as f64 / 4000.0;
         assert!((share(Allocation::Learned) - 0.25).abs() < 0.03);
-        assert!((share(Allocation::Heuristic) - 0.75).abs() < 0.03);
+        assert!((share(NEAREST) - 0.75).abs() < 0.03);
     }
 
     #[test]
@@ -221,17 +265,15 @@ mod tests {
         let mut random = generator(1, Purpose::Rollout, 0);
         let mut by = |rule: Allocation| {
             let mut allocation = vec![UNASSIGNED; AGENTS];
-            let allocated =
-                rule.allocator().allocate(&environment, &state, &mut random, &mut allocation);
-            allocated.unwrap();
+            environment.allocate(rule.rule(), &state, &mut random, &mut allocation);
             allocation
         };
-        let [coordinated, heuristic] = STAND_INS.map(&mut by);
-        assert_ne!(coordinated, heuristic);
+        let [last, nearest] = [LAST, NEAREST].map(&mut by);
+        assert_ne!(last, nearest);
         let decided = |allocation_by, learns: bool, moved_decisions| {
             let mut config = Config::default();
             (config.allocator.moved, config.allocator.moved_decisions) = (1.0, moved_decisions);
-            let stand_in = Allocation::Heuristic;
+            let stand_in = NEAREST;
             let mut episode = Decisions { allocation_by, stand_in, ..Decisions::new(5, AGENTS) };
             let (mut random, mut segments) = (generator(1, Purpose::Rollout, 0), Segments::new(10));
             let segments = learns.then_some(&mut segments);
@@ -240,20 +282,44 @@ mod tests {
             assert!(deciding.decide(&mut episode, now, &mut random, None, segments).unwrap());
             episode.allocation
         };
-        let rule = Allocation::Heuristic;
-        assert_eq!(decided(Allocation::Learned, true, 0.0), heuristic, "the episode's stand-in");
-        assert_ne!(decided(Allocation::Learned, true, 1.0), heuristic, "and agents are moved");
-        assert_eq!(decided(Allocation::Learned, false, 1.0), coordinated, "nobody learns");
-        assert_eq!(decided(rule, true, 1.0), heuristic, "a rule is not explored");
+        assert_eq!(decided(Allocation::Learned, true, 0.0), nearest, "the episode's stand-in");
+        assert_ne!(decided(Allocation::Learned, true, 1.0), nearest, "and agents are moved");
+        assert_eq!(decided(Allocation::Learned, false, 1.0), last, "nobody learns");
+        assert_eq!(decided(NEAREST, true, 1.0), nearest, "a rule is not explored");
     }
 
     #[test]
     fn an_episode_is_decided_by_whom_the_run_asks_for() {
-        let mut config = Config::default();
-        (config.allocation.learned, config.allocation.heuristic) = (0.0, 1.0);
-        let (deciding, mut episode) = (Deciding::new(&config, toy().spec()), Decisions::new(5, 1));
-        episode.restart(deciding.allocation(), &mut generator(1, Purpose::Rollout, 0));
-        assert_eq!(episode.allocation_by, Allocation::Heuristic);
+        let by = |change| {
+            let mut episode = Decisions::new(5, 1);
+            episode.restart(&deciding(change), &mut generator(1, Purpose::Rollout, 0));
+            episode.allocation_by
+        };
+        let heuristic = |config: &mut Config| {
+            (config.allocation.learned, config.allocation.heuristic) = (0.0, 1.0);
+        };
+        assert_eq!(by(heuristic), NEAREST);
+        assert_eq!(by(|config| config.allocation.rule = "coordinated".to_owned()), LAST);
+    }
+
+    /// The first two rules whatever they are called; of one rule that alone.
+    #[test]
+    fn the_first_rules_stand_in() {
+        let stand_ins = |names: &'static [&'static str]| {
+            let rules = names.iter().map(|name| Rule { name, about: "" }).collect::<Vec<_>>();
+            let spec = Spec { rules: rules.leak(), ..toy().spec().clone() };
+            let deciding = Deciding::new(&Config::default(), &spec);
+            let mut episode = Decisions::new(5, 1);
+            let mut random = generator(1, Purpose::Rollout, 0);
+            let drawn = (0..50).map(|_| {
+                episode.restart(&deciding, &mut random);
+                assert_eq!(episode.allocation_by, Allocation::Learned);
+                episode.stand_in.rule()
+            });
+            drawn.collect::<std::collections::BTreeSet<_>>()
+        };
+        assert!(stand_ins(&["dynamic", "matching", "random"]).into_iter().eq([0, 1]));
+        assert!(stand_ins(&["dynamic"]).into_iter().eq([0]));
     }
 
     #[test]

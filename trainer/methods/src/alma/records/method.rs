@@ -8,12 +8,14 @@ use sortie_envs::{Environment, Random};
 use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Level, Rates, Reports};
-use sortie_learn::subtasks::{Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, Subtasks};
+use sortie_learn::subtasks::{
+    Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, RuleAllocator, Subtasks,
+};
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 use sortie_nn::workers::Workers;
 
-use super::config::Config;
+use super::config::{Config, LEARNED};
 use super::history::Returns;
 use super::learner::{Knowledge, Learner, Loss, MixedNetwork, Observer};
 use super::mixer::Mixer;
@@ -24,7 +26,7 @@ use super::temporal_difference::Chunk;
 use crate::alma::agents::{UtilityNetwork, tensors};
 use crate::alma::export;
 use crate::alma::learned::Learned;
-use crate::alma::teams::{Agents, Allocation, NetworkAgents};
+use crate::alma::teams::{Agents, NetworkAgents};
 
 /// Tells the allocator's streams of random numbers from the agents'.
 const ALLOCATOR_STREAM: u64 = 1;
@@ -154,17 +156,17 @@ impl Records {
 
     /// Who allocates where the team is measured.
     fn measured_allocator<'a>(
-        &self,
+        &'a self,
         learned: Option<LearnedAllocator<'a>>,
     ) -> Box<dyn Allocate + 'a> {
         if !self.config.network.subtask.has_subtasks() {
             return Box::new(NoSubtasks);
         }
         match (self.config.allocation.measured(), learned) {
-            (Allocation::Learned, Some(learned)) => learned.allocate,
+            (LEARNED, Some(learned)) => learned.allocate,
             // Whoever is measured under learned allocation learns it.
-            (Allocation::Learned, None) => Box::new(NoSubtasks),
-            (rule, _) => Box::new(rule.allocator()),
+            (LEARNED, None) => Box::new(NoSubtasks),
+            (rule, _) => Box::new(RuleAllocator(rule)),
         }
     }
 }

@@ -22,7 +22,7 @@ mod temporal_difference;
 mod toy;
 
 pub use config::Config;
-pub(crate) use deciding::STAND_INS;
+pub(crate) use config::LEARNED;
 pub use history::{History, Reached, Returns, StepRewards};
 pub use learner::{
     Experience, Knowledge, Learner, Loss, MixedNetwork, Networks, Observer, Parameters, Pick,

@@ -90,7 +90,7 @@ impl Rollout {
     /// An instance is about to start an episode.
     pub fn begin(&mut self, instance: usize, generator: &mut Generator) {
         let instance = &mut self.instances[instance];
-        instance.decisions.restart(self.deciding.allocation(), generator);
+        instance.decisions.restart(&self.deciding, generator);
         instance.last_actions.fill(NO_ACTION);
     }
 

@@ -1,7 +1,7 @@
 //! Everything that decides how a run of the preset `paper` learns.
 
 use sortie_envs::Spec;
-use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Truth, Whole};
+use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Text, Truth, Whole};
 use sortie_learn::configuration::{SHARE, STEPS, require};
 use sortie_learn::session::{EnvironmentChoice, Setup};
 use sortie_learn::{LearnError, section, sections, words};
@@ -10,8 +10,8 @@ use sortie_nn::schedule::linear;
 use super::WindowShape;
 use super::allocation::{AllocationLearning, AllocationShape, RowRules};
 use crate::alma::agents::{Conditioning, UtilityShape};
+use crate::alma::records::LEARNED;
 use crate::alma::records::config::{self as records, RETURNS, ReturnsConfig};
-use crate::alma::teams::Allocation;
 
 const HEADS: Range = Whole(1, 64);
 const SPARE: Range = Whole(0, 64);
@@ -90,8 +90,8 @@ sections! {
 
     /// Who allocates, and how that is learned.
     allocation: AllocationConfig {
-        /// The learned allocator, or a rule.
-        by: String = "learned".to_owned(), OneOf(&["learned", "heuristic", "coordinated", "random"]);
+        /// The learned allocator (`learned`), or a rule of the environment by its name.
+        by: String = LEARNED.to_owned(), Text;
         /// Steps between decisions, unless the open tasks change; those of a coach too.
         interval: u32 = 5, Whole(1, 100_000), "steps";
         /// Allocations that are proposed for a decision.
@@ -252,14 +252,10 @@ impl Config {
         Ok(config)
     }
 
-    /// Who allocates.
-    pub fn allocation(&self) -> Result<Allocation, LearnError> {
-        Allocation::named(&self.allocation.by).ok_or_else(|| {
-            let by = &self.allocation.by;
-            LearnError::Config(format!(
-                "`allocation.by` is `{by}`, not `learned`, `heuristic`, `coordinated` or `random`"
-            ))
-        })
+    /// The rule that allocates, by name, where one does.
+    pub fn rule(&self) -> Option<&str> {
+        let by = &*self.allocation.by;
+        (self.low_level.conditioning.has_subtasks() && by != LEARNED).then_some(by)
     }
 
     /// The shape of the agents' network in an environment.
@@ -269,8 +265,7 @@ impl Config {
 
     /// Whether the run learns an allocator; without subtasks there is nothing to allocate.
     pub fn learns_allocator(&self) -> bool {
-        self.low_level.conditioning.has_subtasks()
-            && self.allocation.by == Allocation::Learned.name()
+        self.low_level.conditioning.has_subtasks() && self.allocation.by == LEARNED
     }
 
     /// Who allocates, by name.

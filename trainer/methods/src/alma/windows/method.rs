@@ -7,7 +7,9 @@ use sortie_envs::{Environment, Random, Spec};
 use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
-use sortie_learn::subtasks::{Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, Subtasks};
+use sortie_learn::subtasks::{
+    Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, RuleAllocator, Subtasks,
+};
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 
@@ -24,7 +26,7 @@ use crate::alma::agents::{UtilityNetwork, tensors};
 use crate::alma::export;
 use crate::alma::learned::Learned;
 use crate::alma::records::config::ReturnsConfig;
-use crate::alma::teams::{Allocation, NetworkAgents};
+use crate::alma::teams::NetworkAgents;
 
 /// Episodes since the run began, and when target networks were renewed last.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -162,15 +164,13 @@ impl WindowLearner {
 
     /// Who allocates where the team is measured.
     fn measured_allocator(&self) -> Box<dyn Allocate + '_> {
-        let has_subtasks = self.config.low_level.conditioning.has_subtasks();
-        match (self.config.allocation(), &self.allocation) {
-            (Ok(Allocation::Learned), Some(level)) => {
+        match (self.config.rule(), &self.allocation) {
+            (Some(rule), _) => Box::new(RuleAllocator(rule)),
+            (None, Some(level)) => {
                 let proposals = self.config.allocation.proposals;
                 Box::new(ProposalAllocator::new(level.networks(), proposals))
             }
-            (Ok(Allocation::Learned) | Err(_), _) => Box::new(NoSubtasks),
-            (Ok(rule), _) if has_subtasks => Box::new(rule.allocator()),
-            (Ok(_), _) => Box::new(NoSubtasks),
+            (None, None) => Box::new(NoSubtasks),
         }
     }
 }
@@ -195,10 +195,7 @@ impl Method for WindowLearner {
         let mut learned = level.map(|level| {
             ProposalAllocator::new(level.networks(), proposals).exploring(exploration)
         });
-        let mut rule = match config.allocation()? {
-            Allocation::Learned => None,
-            rule => config.low_level.conditioning.has_subtasks().then(|| rule.allocator()),
-        };
+        let mut rule = config.rule().map(RuleAllocator);
         let allocator: Option<&mut dyn Allocate> = match (&mut learned, &mut rule) {
             (Some(learned), _) => Some(learned),
             (None, rule) => rule.as_mut().map(|rule| rule as &mut dyn Allocate),
