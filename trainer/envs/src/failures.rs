@@ -172,6 +172,8 @@ impl Environment for Failing {
 
     fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation) {
         let (own, failed, last_actions) = self.split(state);
+        // Environments in which nobody dies leave it as it is.
+        seen.absent = 0;
         self.inner.observe(own, turn, wanted, seen);
         seen.absent |= failed;
         if failed == 0 {
