@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use sortie_envs::{EntitySet, Environment, Random, members};
+use sortie_envs::random::below;
+use sortie_envs::{EntitySet, Environment, Random, Spec, members};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::learner::Rules;
 use sortie_learn::networks::Moment;
@@ -48,6 +49,8 @@ struct Drawn {
     /// A whole episode, or a state as one of no steps.
     episode: Episode,
     part: EntitySet,
+    /// The symmetry by which it is shown.
+    turn: usize,
 }
 
 impl ValueFactorisation {
@@ -84,7 +87,7 @@ impl ValueFactorisation {
 
     /// Makes an update.
     fn learn(&mut self, environment: &dyn Environment, learning_rate: f32) -> UpdateReport {
-        let records = self.draw(environment.spec().shape.entities);
+        let records = self.draw(environment.spec());
         let Self { config, networks, learner, replay, drawn, shards, .. } = self;
         let imagination = &config.imagination;
         let imagined = imagination.partitions.imagines().then_some(imagination.share);
@@ -96,26 +99,27 @@ impl ValueFactorisation {
     }
 
     /// Draws what an update learns from; returns how many records that are.
-    fn draw(&mut self, entities: usize) -> usize {
+    fn draw(&mut self, spec: &Spec) -> usize {
         let Self { config, replay, random, episodes, drawn, shards, .. } = self;
         let (batch, partitions) = (config.replay.batch, config.imagination.partitions);
+        let turns = if config.replay.symmetries { spec.turns } else { 1 };
+        let shown = |episode, random: &mut Random| {
+            let part = partitions.draw(spec.shape.entities, random);
+            // Where nothing is symmetric nothing is drawn.
+            let turn = if turns > 1 { below(random, turns) } else { 0 };
+            Drawn { episode, part, turn }
+        };
         drawn.clear();
         if config.replay.unit == Unit::Steps {
             drawn.extend((0..batch).map(|_| {
                 let first = replay.draw(config.returns.steps, random);
-                let episode = Episode { first, steps: 0 };
-                Drawn { episode, part: partitions.draw(entities, random) }
+                shown(Episode { first, steps: 0 }, random)
             }));
             cut(drawn, RECORDS, |_| 1, shards);
             return batch;
         }
         replay.draw_episodes(batch, random, episodes);
-        drawn.extend(
-            episodes.iter().map(|episode| Drawn {
-                episode: *episode,
-                part: partitions.draw(entities, random),
-            }),
-        );
+        drawn.extend(episodes.iter().map(|episode| shown(*episode, random)));
         // Episodes of about one length go through time together.
         drawn.sort_by_key(|drawn| drawn.episode.steps);
         cut(drawn, STATES, |drawn| drawn.episode.steps + 1, shards);
@@ -153,11 +157,11 @@ impl Gathering<'_> {
         let is_whole = self.config.replay.unit == Unit::Episodes;
         // The states of an episode are alike in most of their rows.
         lesson.before.share_rows(is_whole);
-        for (number, Drawn { episode, part }) in drawn.iter().enumerate() {
+        for (number, drawn) in drawn.iter().enumerate() {
             if is_whole {
-                self.add_episode(lesson, (number, *episode), *part);
+                self.add_episode(lesson, number, *drawn);
             } else {
-                self.add_record(lesson, *episode, *part);
+                self.add_record(lesson, *drawn);
             }
         }
         let targets = self.config.targets(self.environment.spec());
@@ -168,31 +172,28 @@ impl Gathering<'_> {
     }
 
     /// A state, and the one some steps later.
-    fn add_record(&self, lesson: &mut Lesson, Episode { first, .. }: Episode, part: EntitySet) {
+    fn add_record(&self, lesson: &mut Lesson, drawn: Drawn) {
         let ReturnsConfig { steps, discount } = self.config.returns;
-        let number = lesson.rewards.len();
-        self.add_state(lesson, (first, Moment { step: 0, episode: number }), part);
+        let (number, first) = (lesson.rewards.len(), drawn.episode.first);
+        self.add_state(lesson, (first, Moment { step: 0, episode: number }), drawn);
         let future = self.replay.future(first, steps, discount);
         lesson.rewards.push(future.reward);
         lesson.discounts.push(future.discount);
         lesson.next.push(Some(number as u32));
         let seen = &mut lesson.seen;
-        self.environment.observe(self.replay.state(future.place), 0, EntitySet::MAX, seen);
+        let state = self.replay.state(future.place);
+        self.environment.observe(state, drawn.turn, EntitySet::MAX, seen);
         lesson.after.push(seen);
     }
 
     /// The states of a whole episode.
-    fn add_episode(
-        &self,
-        lesson: &mut Lesson,
-        (number, episode): (usize, Episode),
-        part: EntitySet,
-    ) {
+    fn add_episode(&self, lesson: &mut Lesson, number: usize, drawn: Drawn) {
         let ReturnsConfig { steps, discount } = self.config.returns;
+        let episode = drawn.episode;
         let start = lesson.rewards.len();
         for step in 0..=episode.steps {
             let place = episode.first.after(step);
-            self.add_state(lesson, (place, Moment { step, episode: number }), part);
+            self.add_state(lesson, (place, Moment { step, episode: number }), drawn);
             let future = self.replay.future(place, steps, discount);
             let ahead = (step < episode.steps).then(|| start + future.place.since(episode.first));
             lesson.next.push(ahead.map(|ahead| ahead as u32));
@@ -202,18 +203,20 @@ impl Gathering<'_> {
     }
 
     /// Adds a state, what was done in it, and a part of its entities.
-    fn add_state(&self, lesson: &mut Lesson, (place, moment): (Place, Moment), part: EntitySet) {
+    fn add_state(&self, lesson: &mut Lesson, (place, moment): (Place, Moment), drawn: Drawn) {
+        let Drawn { part, turn, .. } = drawn;
         let partitions = self.config.imagination.partitions;
         let Lesson { before, seen, companions, actions, .. } = lesson;
         let state = self.replay.state(place);
-        self.environment.observe(state, 0, EntitySet::MAX, seen);
+        self.environment.observe(state, turn, EntitySet::MAX, seen);
         companions.resize(self.environment.spec().shape.agents, EntitySet::MAX);
         if partitions.needs_companions() {
             self.environment.companions(state, companions);
         }
         before.push_at(moment, seen, |agent| partitions.within(part, companions[agent], agent));
         let done = self.replay.actions(place);
-        actions.extend(members(seen.acting().into()).map(|agent| u32::from(done[agent])));
+        let action = |agent: usize| self.environment.turned_action(turn, done[agent]);
+        actions.extend(members(seen.acting().into()).map(|agent| u32::from(action(agent))));
     }
 }
 
@@ -296,7 +299,10 @@ impl Method for ValueFactorisation {
 
 #[cfg(test)]
 mod tests {
-    use sortie_envs::{Split, Step};
+    use std::collections::BTreeSet;
+
+    use sortie_envs::random::member;
+    use sortie_envs::{Observation, Split, Step};
     use sortie_learn::run::UpdateReport;
 
     use super::*;
@@ -320,6 +326,23 @@ mod tests {
         ValueFactorisation::new(config, &opening)
     }
 
+    fn transition<'a>(
+        (environment, state, next): (&'a dyn Environment, &'a [u8], &'a [u8]),
+        actions: &'a [u16],
+        step: Step,
+    ) -> Transition<'a> {
+        Transition {
+            environment,
+            instance: 0,
+            state,
+            actions,
+            step,
+            task_rewards: &[],
+            agent_rewards: &[],
+            next,
+        }
+    }
+
     /// One that has seen the first state of an episode so many times, each time left in one way.
     fn seen(ring: &mut dyn Environment, batch: usize, step: Step) -> ValueFactorisation {
         let mut method = new(ring, batch, |_| ());
@@ -332,17 +355,7 @@ mod tests {
         ring.reset(0, &mut generator(1, Purpose::Rollout, 0));
         ring.save(0, &mut state);
         for _ in 0..20 {
-            let transition = Transition {
-                environment: ring,
-                instance: 0,
-                state: &state,
-                actions: &[1; 4],
-                step,
-                task_rewards: &[],
-                agent_rewards: &[],
-                next: &state,
-            };
-            method.remember(&transition).unwrap();
+            method.remember(&transition((ring, &state, &state), &[1; 4], step)).unwrap();
         }
     }
 
@@ -357,17 +370,8 @@ mod tests {
             next.clear();
             ring.save(0, &mut next);
             let (reward, terminated) = (number as f64, number == steps);
-            let transition = Transition {
-                environment: ring,
-                instance: 0,
-                state: &state,
-                actions: &[1; 4],
-                step: Step { reward, terminated, ..Step::default() },
-                task_rewards: &[],
-                agent_rewards: &[],
-                next: &next,
-            };
-            method.remember(&transition).unwrap();
+            let step = Step { reward, terminated, ..Step::default() };
+            method.remember(&transition((ring, &state, &next), &[1; 4], step)).unwrap();
             std::mem::swap(&mut state, &mut next);
         }
     }
@@ -393,6 +397,57 @@ mod tests {
             assert_eq!(*target == online.values, copied, "{env_steps}");
             assert_eq!(*target == first, env_steps < 15, "{env_steps}");
         }
+    }
+
+    /// In a city, which looks the same from eight sides, after a walk of random actions.
+    #[test]
+    fn what_is_drawn_is_shown_by_any_symmetry_with_the_actions_that_it_has_there() {
+        let name = "save-the-city/2-5a_2-5b";
+        let mut city = sortie_envs::open(name, Split::Train, 1, &Default::default()).unwrap();
+        let mut method = new(&*city, 32, |_| ());
+        let mut random = generator(1, Purpose::Rollout, 0);
+        let mut seen = Observation::default();
+        let [mut state, mut next] = [Vec::new(), Vec::new()];
+        city.reset(0, &mut random);
+        city.save(0, &mut state);
+        for _ in 0..40 {
+            city.observe(&state, 0, EntitySet::MAX, &mut seen);
+            let any = |open: &u64| member(&mut random, (*open).into()).unwrap_or(0) as u16;
+            let actions: Vec<u16> = seen.available.iter().map(any).collect();
+            let step = city.step(0, &actions, &mut random).unwrap();
+            next.clear();
+            city.save(0, &mut next);
+            method.remember(&transition((&*city, &state, &next), &actions, step)).unwrap();
+            std::mem::swap(&mut state, &mut next);
+        }
+        let turns = city.spec().turns;
+        method.draw(city.spec());
+        let drawn: BTreeSet<usize> = method.drawn.iter().map(|drawn| drawn.turn).collect();
+        assert!(drawn.len() > turns / 2 && drawn.iter().all(|turn| *turn < turns), "{drawn:?}");
+        let gathering =
+            Gathering { config: &method.config, replay: &method.replay, environment: &*city };
+        let shown = |drawn: Drawn| {
+            let mut lesson = Lesson::default();
+            gathering.fill(&mut lesson, &[drawn]);
+            for (action, open) in lesson.actions.iter().zip(lesson.before.available()) {
+                assert!(open >> action & 1 == 1, "{drawn:?}");
+            }
+            [lesson.before, lesson.after].map(|batch| {
+                let rows = batch.seen().rows;
+                (0..rows.len()).map(|row| rows.row(row).collect()).collect::<Vec<Vec<_>>>()
+            })
+        };
+        let mut differ = 0;
+        for drawn in &method.drawn {
+            let [before, after] = shown(*drawn);
+            let plain = shown(Drawn { turn: 0, ..*drawn });
+            differ += usize::from(before != plain[0]);
+            assert_eq!(before != plain[0], after != plain[1], "both or none: {drawn:?}");
+        }
+        assert!(differ > 16, "{differ}");
+        method.config.replay.symmetries = false;
+        method.draw(city.spec());
+        assert!(method.drawn.iter().all(|drawn| drawn.turn == 0));
     }
 
     #[test]

@@ -96,6 +96,9 @@ sections! {
         batch: usize = 256, Whole(1, 65_536), "units";
         /// Steps from one update to the next; 0: an update for each episode that ends.
         steps_per_update: u64 = 16, Whole(0, SIZE), "environment steps";
+        /// Whether what is drawn is learned from as one of the environment's symmetries shows it, drawn at random.
+        #[serde(default)]
+        symmetries: bool = true, Truth;
     }
 
     /// How often agents take a random available action.
@@ -168,6 +171,7 @@ impl Config {
                 capacity: 2_000,
                 batch: 32,
                 steps_per_update: 0,
+                symmetries: false,
             },
             exploration: ExplorationConfig {
                 steps: 5_000,
@@ -296,7 +300,7 @@ fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
             config.network.width
         ));
     }
-    let ReplayConfig { unit, capacity, batch, steps_per_update } = config.replay;
+    let ReplayConfig { unit, capacity, batch, steps_per_update, .. } = config.replay;
     let kept = capacity / opening.setup.environment.instances;
     match unit {
         Unit::Steps if kept <= 4 * config.returns.steps => {
