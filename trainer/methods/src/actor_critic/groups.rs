@@ -1,5 +1,4 @@
-//! Who shares networks and where an agent's rows stand; how rows are normalised, what critics are shown and say, whatever
-//! their layers, and how actions are drawn by their scores.
+//! Who shares networks and where an agent's rows stand; how rows are normalised, and how actions are drawn by their scores.
 
 use std::ops::Range;
 
@@ -36,8 +35,13 @@ impl Group {
         columns: usize,
         records: &Range<usize>,
     ) -> &'a [f32] {
-        let of_record = columns * self.agents.len();
-        &numbers[records.start * of_record..records.end * of_record]
+        let rows = self.range(records);
+        &numbers[rows.start * columns..rows.end * columns]
+    }
+
+    /// Its rows of some records.
+    pub(crate) fn range(&self, records: &Range<usize>) -> Range<usize> {
+        records.start * self.agents.len()..records.end * self.agents.len()
     }
 
     /// Record and agent of each of its rows.
@@ -63,6 +67,12 @@ impl Group {
 
 /// Numbers by groups, a row for each agent of each record.
 pub type Rows = Vec<Vec<f32>>;
+
+/// Makes lists empty, so many of them, and keeps their memory.
+pub(crate) fn emptied<T>(lists: &mut Vec<Vec<T>>, count: usize) {
+    lists.resize_with(count, Vec::new);
+    lists.iter_mut().for_each(Vec::clear);
+}
 
 /// All agents, in their order.
 ///
@@ -124,37 +134,6 @@ impl Groups {
 
 /// Slope of leaky ReLU below zero.
 pub(crate) const SLOPE: f32 = 0.01;
-
-/// What was done, as a critic is shown it, by groups.
-#[derive(Debug, Default)]
-pub struct Encoded {
-    /// `[rows, columns]`
-    pub(crate) taken: Rows,
-    /// `[rows, actions]`: the own action, which only some critics see.
-    pub(crate) own: Rows,
-}
-
-/// What a critic is shown, by groups: rows of records.
-#[derive(Clone, Copy, Debug)]
-pub struct Shown<'a> {
-    /// `[rows, inputs]`
-    pub observations: &'a Rows,
-    /// What was done.
-    pub encoded: &'a Encoded,
-}
-
-/// What a critic says.
-#[derive(Debug)]
-pub struct Values {
-    /// By groups, `[rows, actions]`: the value of each own action, or `[rows, 1]` of the one that it sees.
-    pub of_actions: Vec<Var>,
-    /// `[rows, width]`: what attention makes of the others, where it is learned.
-    pub attended: Option<Var>,
-    /// `[rows, 1]`: the squared scores of attention, where it is learned.
-    pub squared_scores: Option<Var>,
-    /// By groups, `[rows, actions]`: the leaves of own actions that it sees.
-    pub own: Vec<Var>,
-}
 
 /// A layer with leaky ReLU behind it.
 pub(crate) fn leaky(pass: &mut Pass<'_>, x: Var, layer: Linear) -> Var {

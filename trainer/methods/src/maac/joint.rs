@@ -8,7 +8,8 @@ use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::{CriticKind, CriticShape};
-use crate::actor_critic::groups::{Groups, Rows, SLOPE, Shown, Values, leaky};
+use crate::actor_critic::groups::{Groups, Rows, SLOPE, emptied, leaky};
+use crate::actor_critic::learner::{Critic, Encoded, Shown, Values};
 
 /// Such a critic's layers.
 #[derive(Clone, Debug)]
@@ -66,19 +67,36 @@ impl Joint {
         });
         Self { kind, layers: layers.collect() }
     }
+}
 
-    /// Writes for every row what the others of its record do, each in its place, and which agent it is about.
-    pub(super) fn encode(&self, groups: &Groups, taken: &Rows, encoded: &mut Rows) {
-        for (index, (group, encoded)) in groups.0.iter().zip(encoded).enumerate() {
-            encoded.clear();
+impl Critic for Joint {
+    fn shared(&self) -> [usize; 2] {
+        [0, 1]
+    }
+
+    /// For every row what the others of its record do, each in its place, and which agent it is about.
+    fn encode(
+        &self,
+        groups: &Groups,
+        _: &Rows,
+        actions: [&[Vec<u32>]; 2],
+        _: bool,
+        encoded: &mut Encoded,
+    ) {
+        let [taken, own] = actions.map(|actions| -> Rows {
+            groups.0.iter().zip(actions).map(|(group, taken)| group.one_hot(taken)).collect()
+        });
+        encoded.own = own;
+        emptied(&mut encoded.taken, groups.0.len());
+        if self.kind == CriticKind::Own {
+            return;
+        }
+        for (index, (group, encoded)) in groups.0.iter().zip(&mut encoded.taken).enumerate() {
             let columns = context_columns(self.kind, groups, index);
             let records = taken[index].len() / (group.actions * group.agents.len());
             for (record, agent) in group.order(records) {
                 let end = encoded.len() + columns;
-                if self.kind == CriticKind::Own {
-                    continue;
-                }
-                for (of, taken) in groups.0.iter().zip(taken) {
+                for (of, taken) in groups.0.iter().zip(&taken) {
                     let start = encoded.len();
                     encoded.extend_from_slice(of.rows(taken, of.actions, &(record..record + 1)));
                     if of.agents.contains(&agent) {
@@ -96,8 +114,7 @@ impl Joint {
         }
     }
 
-    /// The values of some records.
-    pub(super) fn values(
+    fn values(
         &self,
         pass: &mut Pass<'_>,
         groups: &Groups,
@@ -120,7 +137,7 @@ impl Joint {
             .collect();
         let whole = pass.concat(&of_records);
         let of_rows = groups.records(records.len());
-        let (mut of_actions, mut own) = (Vec::new(), Vec::new());
+        let mut found = Values::default();
         for (index, group) in groups.0.iter().enumerate() {
             let layers = self.layers[index % self.layers.len()];
             let mut first = if self.kind == CriticKind::Own {
@@ -138,7 +155,7 @@ impl Joint {
             if let Some(layer) = layers.own {
                 let row = group.actions;
                 let leaf = pass.leaf(row, group.rows(&shown.encoded.own[index], row, &records));
-                own.push(leaf);
+                found.own_actions.push(leaf);
                 let part = pass.linear(leaf, layer);
                 first = pass.add(first, part);
             }
@@ -146,9 +163,9 @@ impl Joint {
             let hidden = leaky(pass, first, layers.hidden);
             let values = pass.linear(hidden, layers.head);
             let known = group.actions.min(layers.head.shape.output);
-            of_actions.push(pass.columns(values, 0..known));
+            found.of_actions.push(pass.columns(values, 0..known).into());
         }
-        Values { of_actions, attended: None, squared_scores: None, own }
+        found
     }
 }
 

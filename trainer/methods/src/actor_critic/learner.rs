@@ -1,0 +1,579 @@
+//! An update: a critic learns from records, policies from the critic (dissertation sections 3.3 and 4.4).
+//!
+//! Policies may have several heads, each with values of its own, and besides with values of a reward that only this head is
+//! paid. All learn from what any of them did.
+
+use std::fmt;
+use std::ops::Range;
+
+use sortie_learn::learner::{self, Loss, Shard};
+use sortie_learn::run::UpdateReport;
+use sortie_learn::{LearnError, State, words};
+use sortie_nn::layers::{normalise, softmax};
+use sortie_nn::optimise::{AdamRules, clip_norm};
+use sortie_nn::tape::{Parameters, Pass, Var};
+
+use super::groups::{Draw, Groups, Rows, Running, best_of_all, emptied};
+use super::losses::{added, drawn_loss, expected_loss, relaxed_loss, soft_value, sum};
+use super::policies::Policies;
+
+words! {
+    /// How an agent's own action counts in targets and policies.
+    OwnActions {
+        /// All of them, by their chances.
+        Expected = "expected",
+        /// One that is drawn.
+        Drawn = "drawn",
+        /// One that the critic is shown, relaxed: the best in targets, drawn for policies (Gumbel-softmax).
+        Relaxed = "relaxed",
+    }
+}
+
+words! {
+    /// Which values policies learn from.
+    PolicyValues {
+        /// Those that the critic's own update computed, for the others' actions of then.
+        Kept = "kept",
+        /// Those of the updated critic for actions that all draw now.
+        Fresh = "fresh",
+    }
+}
+
+/// What a critic makes of what all see and do.
+pub trait Critic: fmt::Debug + Send + Sync {
+    /// How many of its weights, the first, serve so many values each.
+    fn shared(&self) -> [usize; 2];
+
+    /// Encodes what the others did and what each agent did itself, by groups and heads, perhaps normalised over the batch.
+    fn encode(
+        &self,
+        groups: &Groups,
+        observations: &Rows,
+        actions: [&[Vec<u32>]; 2],
+        normalised: bool,
+        encoded: &mut Encoded,
+    );
+
+    /// The values of some records.
+    fn values(
+        &self,
+        pass: &mut Pass<'_>,
+        groups: &Groups,
+        shown: Shown<'_>,
+        records: Range<usize>,
+    ) -> Values;
+}
+
+/// What was done, as a critic is shown it.
+#[derive(Debug, Default)]
+pub struct Encoded {
+    /// `[rows, columns]`: what the others did.
+    pub(crate) taken: Rows,
+    /// `[rows, actions]`: the own action, which only some critics see.
+    pub(crate) own: Rows,
+}
+
+/// What a critic is shown of records.
+#[derive(Clone, Copy, Debug)]
+pub struct Shown<'a> {
+    /// By groups, `[rows, inputs]`.
+    pub observations: &'a Rows,
+    /// `[records, columns]`: whole states, which only some critics see.
+    pub states: &'a [f32],
+    /// What was done.
+    pub encoded: &'a Encoded,
+}
+
+/// What a critic says.
+#[derive(Debug, Default)]
+pub struct Values {
+    /// By groups and heads.
+    pub of_actions: Vec<Value>,
+    /// `[rows, width]`: what attention makes of the others, where it is learned.
+    pub attended: Option<Var>,
+    /// `[rows, 1]`: the squared scores of attention, where it is learned.
+    pub squared_scores: Option<Var>,
+    /// By groups, `[rows, actions]`: the leaves of own actions that it sees.
+    pub own_actions: Vec<Var>,
+}
+
+/// Values of a group's actions for one head: `[rows, actions]`, or `[rows, 1]` of the own action that the critic sees.
+#[derive(Clone, Copy, Debug)]
+pub struct Value {
+    /// In rewards of the agents.
+    pub earned: Var,
+    /// In what the head is paid, if it is.
+    pub paid: Option<Var>,
+}
+
+impl From<Var> for Value {
+    fn from(earned: Var) -> Self {
+        Self { earned, paid: None }
+    }
+}
+
+/// Records, by groups: rows of agents.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Batch {
+    /// Joint records.
+    pub records: usize,
+    /// `[rows, inputs]`: what they saw.
+    pub observations: Rows,
+    /// `[rows]`: what they did.
+    pub actions: Vec<Vec<u32>>,
+    /// `[rows]`: what they earned until the next observation.
+    pub rewards: Rows,
+    /// `[rows]`: what the value of the next observation counts, 0 behind an end.
+    pub discounts: Rows,
+    /// `[rows, inputs]`: what they saw next.
+    pub next: Rows,
+    /// `[records]`: whether the next record is the next decision of the same episode; empty where none is.
+    pub follows: Vec<bool>,
+    /// `[records, columns]`: whole states, and those that followed, where the critic sees them.
+    pub states: [Vec<f32>; 2],
+    /// By groups and heads, `[rows]`: what heads are paid besides; empty of heads that are paid nothing.
+    pub paid: Rows,
+}
+
+impl Batch {
+    /// Forgets all records; there are so many groups, and this many groups and heads.
+    pub(crate) fn clear(&mut self, [groups, each]: [usize; 2]) {
+        self.records = 0;
+        self.follows.clear();
+        emptied(&mut self.actions, groups);
+        let Self { observations, rewards, discounts, next, .. } = self;
+        for rows in [observations, rewards, discounts, next] {
+            emptied(rows, groups);
+        }
+        self.states.iter_mut().for_each(Vec::clear);
+        emptied(&mut self.paid, each);
+    }
+
+    /// Adds what agents did in a record, earned by it, and what the value of what followed counts.
+    pub(crate) fn add(
+        &mut self,
+        groups: &Groups,
+        actions: &[u16],
+        reward: impl Fn(usize) -> f32,
+        discount: f32,
+    ) {
+        self.records += 1;
+        for (index, group) in groups.0.iter().enumerate() {
+            let own = || group.agents.clone();
+            self.actions[index].extend(actions[own()].iter().map(|action| u32::from(*action)));
+            self.rewards[index].extend(own().map(&reward));
+            self.discounts[index].extend(own().map(|_| discount));
+        }
+    }
+}
+
+/// How networks learn.
+#[derive(Clone, Debug)]
+pub struct Rules {
+    /// How an agent's own action counts.
+    pub own_actions: OwnActions,
+    /// What policies learn from.
+    pub policy_values: PolicyValues,
+    /// What the target of the next decision counts beside its value: TD(lambda).
+    pub lambda: f32,
+    /// Discount of what heads are paid.
+    pub paid_discount: f32,
+    /// What that counts in what policies learn.
+    pub paid_weight: f32,
+    /// What the mean squared score of attention, and of an action, counts.
+    pub penalties: [f32; 2],
+    /// Step sizes of critic and policies.
+    pub rates: [f32; 2],
+    /// What Adam adds to what, for the critic; weights of policies do not decay.
+    pub adam: AdamRules,
+    /// Largest norms of the gradients of the critic and of a group's policy.
+    pub clips: [f32; 2],
+    /// Shares of the way that targets and averaged policies move in an update.
+    pub follow: [f32; 2],
+    /// Records of a shard.
+    pub shard: usize,
+}
+
+/// Networks and optimisers.
+#[derive(Debug)]
+pub struct ActorCritic {
+    rules: Rules,
+    /// The agents.
+    pub groups: Groups,
+    /// The same, once for each head.
+    each: Groups,
+    /// The critic's layers.
+    pub critic: Box<dyn Critic>,
+    /// Its weights.
+    pub critic_learner: learner::Learner<Rows>,
+    /// The policies' layers.
+    pub policies: Policies,
+    /// Their weights.
+    pub policy_learner: learner::Learner<Rows>,
+    /// What the policies were shown, where that is normalised.
+    pub running: Option<Running>,
+    encoded: Encoded,
+    scores: Rows,
+    /// By groups and heads: of what is earned, and of what is paid.
+    targets: [Rows; 2],
+    /// Gumbel's noise in the choice of own actions.
+    noise: Rows,
+}
+
+/// How a batch is cut.
+#[derive(Clone, Copy)]
+struct Shards {
+    records: usize,
+    size: usize,
+}
+
+impl Shards {
+    fn count(self) -> usize {
+        self.records.div_ceil(self.size)
+    }
+
+    fn records(self, shard: usize) -> Range<usize> {
+        shard * self.size..self.records.min((shard + 1) * self.size)
+    }
+}
+
+/// Keeps what a pass has computed.
+fn keep(pass: &Pass<'_>, found: &mut Rows, vars: impl ExactSizeIterator<Item = Var>) {
+    emptied(found, vars.len());
+    vars.zip(found).for_each(|(var, found)| found.extend_from_slice(pass.values(var)));
+}
+
+/// What shards have found, matrix by matrix, one behind the other.
+fn join(learner: &learner::Learner<Rows>, shards: Shards, joined: &mut Rows) {
+    let count = learner.spaces().next().map_or(0, Vec::len);
+    emptied(joined, count);
+    for found in learner.spaces().take(shards.count()) {
+        joined.iter_mut().zip(found).for_each(|(joined, found)| joined.extend_from_slice(found));
+    }
+}
+
+impl ActorCritic {
+    /// Learns with these networks.
+    pub fn new(
+        rules: Rules,
+        groups: Groups,
+        (critic, critic_weights): (Box<dyn Critic>, Parameters),
+        (policies, policy_weights): (Policies, Parameters),
+        normalised: bool,
+        threads: usize,
+    ) -> Self {
+        let each = groups.0.iter().flat_map(|group| vec![group.clone(); policies.heads()]);
+        let [target_rate, average_rate] = rules.follow;
+        let adam = AdamRules { decay: 0.0, ..rules.adam };
+        let of_policies =
+            learner::Rules { adam, target_rate, average_rate, ..learner::Rules::default() };
+        let of_critic = learner::Rules { adam: rules.adam, average_rate: 1.0, ..of_policies };
+        Self {
+            each: Groups(each.collect()),
+            critic_learner: learner::Learner::new(critic_weights, of_critic, threads),
+            policy_learner: learner::Learner::new(policy_weights, of_policies, threads),
+            running: normalised.then(|| Running::new(&groups)),
+            encoded: Encoded::default(),
+            scores: Rows::new(),
+            targets: Default::default(),
+            noise: Rows::new(),
+            critic,
+            policies,
+            groups,
+            rules,
+        }
+    }
+
+    /// How many groups there are, and how many of groups and heads.
+    pub(crate) fn sizes(&self) -> [usize; 2] {
+        [self.groups.0.len(), self.each.0.len()]
+    }
+
+    /// One update of critic, policies and targets, where chance in the choice of actions is worth so much; normalises what the
+    /// batch shows, if that is wanted.
+    pub fn update(&mut self, batch: &mut Batch, entropy: f32, draw: &mut dyn Draw) -> UpdateReport {
+        self.normalise(batch);
+        self.find_targets(batch, entropy, draw);
+        let report = self.update_critic(batch);
+        self.update_policies(batch, entropy, draw);
+        report
+    }
+
+    fn normalise(&mut self, batch: &mut Batch) {
+        let Some(running) = &mut self.running else { return };
+        for (index, group) in self.groups.0.iter().enumerate() {
+            let observations = &mut batch.observations[index];
+            let rows = observations.len() / group.inputs();
+            let moments = normalise::batch(group.inputs(), observations);
+            running.update(index, &moments, rows);
+            normalise::batch(group.inputs(), &mut batch.next[index]);
+        }
+    }
+
+    fn shards(&self, batch: &Batch) -> Shards {
+        Shards { records: batch.records, size: self.rules.shard }
+    }
+
+    /// Finds the scores of actions where agents are shown these rows, by the policies that learn or by their targets.
+    fn score(&mut self, shards: Shards, shown: &Rows, by_targets: bool) {
+        let Self { groups, policies, policy_learner, scores, .. } = self;
+        policy_learner.look(shards.count(), |shard| {
+            let Shard { number, spare, online, target, space, .. } = shard;
+            let mut pass = spare.begin(if by_targets { target } else { online });
+            let (heads, records) = (0..policies.heads(), shards.records(*number));
+            let scores = policies.scores(&mut pass, groups, shown, heads, records);
+            keep(&pass, space, scores.into_iter());
+        });
+        join(policy_learner, shards, scores);
+    }
+
+    /// What the records are worth: rewards, and the target critic's values of what comes next.
+    fn find_targets(&mut self, batch: &Batch, entropy: f32, draw: &mut dyn Draw) {
+        let shards = self.shards(batch);
+        self.score(shards, &batch.next, true);
+        let Self { rules, groups, each, critic, critic_learner, running, encoded, .. } = self;
+        let actions = match rules.own_actions {
+            OwnActions::Relaxed => best_of_all(each, &self.scores),
+            _ => draw.draw(each, &self.scores),
+        };
+        critic.encode(groups, &batch.next, [&actions; 2], running.is_some(), encoded);
+        let shown = Shown { observations: &batch.next, states: &batch.states[1], encoded };
+        critic_learner.look(shards.count(), |shard| {
+            let mut pass = shard.spare.begin(shard.target);
+            let records = shards.records(shard.number);
+            let values = critic.values(&mut pass, groups, shown, records).of_actions;
+            let all = values.iter().flat_map(|of| std::iter::once(of.earned).chain(of.paid));
+            keep(&pass, shard.space, all.collect::<Vec<_>>().into_iter());
+        });
+        let mut values = Rows::new();
+        join(critic_learner, shards, &mut values);
+        let mut values = values.iter();
+        self.targets.iter_mut().for_each(|targets| emptied(targets, each.0.len()));
+        for (index, scores) in self.scores.iter_mut().enumerate() {
+            let (of, columns) = (index / self.policies.heads(), each.0[index].actions);
+            scores.chunks_exact_mut(columns).for_each(softmax::log_forward);
+            let (rule, actions) = (rules.own_actions, &actions[index]);
+            let choices = Choices { rule, entropy, columns, logarithms: scores, actions };
+            let paid = batch.paid.get(index).map_or(&[][..], Vec::as_slice);
+            let kinds = [(&batch.rewards[of][..], None), (paid, Some(rules.paid_discount))];
+            for ((rewards, discount), targets) in kinds.into_iter().zip(&mut self.targets) {
+                if rewards.is_empty() {
+                    continue;
+                }
+                let values = values.next().expect("values of all that is earned");
+                let (agents, targets) = (each.0[index].agents.len(), &mut targets[index]);
+                targets.resize(rewards.len(), 0.0);
+                for row in (0..rewards.len()).rev() {
+                    let [mut worth, chance] = choices.worth(values, row);
+                    if batch.follows.get(row / agents) == Some(&true) {
+                        worth += rules.lambda * (targets[row + agents] - worth);
+                    }
+                    let own = batch.discounts[of][row];
+                    let discount = discount.filter(|_| own > 0.0).unwrap_or(own);
+                    // As in the public code the worth of chance is neither discounted nor lost behind an end.
+                    targets[row] = rewards[row] + discount * worth - chance;
+                }
+            }
+        }
+    }
+
+    /// Moves the critic towards the targets. Its shards keep the values that it had.
+    fn update_critic(&mut self, batch: &Batch) -> UpdateReport {
+        let (shards, heads) = (self.shards(batch), self.policies.heads());
+        let Self { rules, groups, each, critic, critic_learner, running, encoded, .. } = self;
+        // What was done was done under one head, and counts for all.
+        let taken = batch.actions.iter().flat_map(|actions| vec![actions.clone(); heads]);
+        let taken: Vec<Vec<u32>> = taken.collect();
+        let seen = &batch.observations;
+        critic.encode(groups, seen, [&taken; 2], running.is_some(), encoded);
+        let shown = Shown { observations: seen, states: &batch.states[0], encoded };
+        let share = 1.0 / batch.records as f32;
+        let penalty = rules.penalties[0] * share / (groups.agents() - 1).max(1) as f32;
+        let [earned, paid] = &self.targets;
+        let loss = |shard: &mut Shard<'_, Rows>| {
+            let records = shards.records(shard.number);
+            let Shard { pass, space, .. } = shard;
+            let values = critic.values(pass, groups, shown, records.clone());
+            let mut whole = values.squared_scores.map(|scores| {
+                let sum = pass.sum_rows(scores);
+                pass.scale(sum, penalty)
+            });
+            for (index, of) in values.of_actions.iter().enumerate() {
+                let rows = each.0[index].range(&records);
+                let chosen = |pass: &mut Pass<'_>, values: Var| match pass.size(values) {
+                    [_, 1] => values,
+                    _ => pass.pick(values, &taken[index][rows.clone()]),
+                };
+                let value = chosen(pass, of.earned);
+                let error = pass.squared_error(value, &earned[index][rows.clone()], share);
+                whole = Some(added(pass, whole, error));
+                if let Some(value) = of.paid {
+                    let value = chosen(pass, value);
+                    let error = pass.huber(value, &paid[index][rows.clone()], share, 1.0);
+                    whole = Some(added(pass, whole, error));
+                }
+            }
+            keep(pass, space, values.of_actions.iter().map(|of| of.earned));
+            Loss::of(pass, |_| whole.expect("there are agents"))
+        };
+        let ([weights, served], clip) = (critic.shared(), rules.clips[0]);
+        critic_learner.update_by(shards.count(), rules.rates[0], loss, |gradient| {
+            // What serves several values is not to move as many times as far.
+            gradient[..weights].iter_mut().for_each(|slope| *slope *= 1.0 / served as f32);
+            clip_norm(gradient, clip)
+        })
+    }
+
+    /// Moves the policies towards what the critic values.
+    fn update_policies(&mut self, batch: &Batch, entropy: f32, draw: &mut dyn Draw) {
+        let (shards, seen) = (self.shards(batch), &batch.observations);
+        let rule = self.rules.own_actions;
+        let is_fresh =
+            rule == OwnActions::Relaxed || self.rules.policy_values == PolicyValues::Fresh;
+        let drawn = is_fresh.then(|| self.choose_anew(batch, draw));
+        let Self { rules, groups, each, critic, critic_learner, policies, .. } = self;
+        let shown = Shown { observations: seen, states: &batch.states[0], encoded: &self.encoded };
+        let kept: Vec<&Rows> = critic_learner.spaces().collect();
+        let weights = &critic_learner.online.values;
+        let actions = drawn.as_ref().unwrap_or(&batch.actions);
+        let (noise, share) = (&self.noise, 1.0 / batch.records as f32);
+        let loss = |shard: &mut Shard<'_, Rows>| {
+            let Shard { number, pass, spare, space, .. } = shard;
+            let records = shards.records(*number);
+            if is_fresh {
+                let mut values = spare.begin(weights);
+                let of = critic.values(&mut values, groups, shown, records.clone());
+                if rule == OwnActions::Relaxed {
+                    keep_slopes(&mut values, &of, weights.len(), space);
+                } else {
+                    keep_values(&mut values, &of, rules.paid_weight, space);
+                }
+            }
+            let values = if is_fresh { &**space } else { kept[*number] };
+            let heads = 0..policies.heads();
+            let scores = policies.scores(pass, groups, seen, heads, records.clone());
+            let mut whole = None;
+            for (index, scores) in scores.into_iter().enumerate() {
+                let (group, values) = (&each.0[index], &values[index]);
+                let rows = group.range(&records);
+                let gain = match rule {
+                    OwnActions::Expected => expected_loss(pass, scores, values, entropy),
+                    OwnActions::Drawn => {
+                        drawn_loss(pass, scores, values, &actions[index][rows], entropy)
+                    }
+                    OwnActions::Relaxed => {
+                        let noise = group.rows(&noise[index], group.actions, &records);
+                        relaxed_loss(pass, scores, noise, values)
+                    }
+                };
+                let gain = pass.scale(gain, share);
+                whole = Some(added(pass, whole, gain));
+                let squares = pass.multiply(scores, scores);
+                let squares = sum(pass, squares);
+                let penalty = rules.penalties[1] * share / group.actions as f32;
+                let squares = pass.scale(squares, penalty);
+                whole = Some(added(pass, whole, squares));
+            }
+            Loss::of(pass, |_| whole.expect("there are agents"))
+        };
+        let (each_head, clip) = (1.0 / policies.heads() as f32, rules.clips[1]);
+        self.policy_learner.update_by(shards.count(), rules.rates[1], loss, |gradient| {
+            policies.ranges().fold(0.0, |longest: f32, (range, shared)| {
+                let gradient = &mut gradient[range];
+                gradient[..shared].iter_mut().for_each(|slope| *slope *= each_head);
+                longest.max(clip_norm(gradient, clip))
+            })
+        });
+    }
+
+    /// Has all agents act as they would now, and shows that to the critic. Returns the actions.
+    ///
+    /// A critic that sees the own action is shown a drawn one, while the others do their best.
+    fn choose_anew(&mut self, batch: &Batch, draw: &mut dyn Draw) -> Vec<Vec<u32>> {
+        self.score(self.shards(batch), &batch.observations, false);
+        let Self { rules, groups, each, critic, running, encoded, scores, noise, .. } = self;
+        let relaxed = rules.own_actions == OwnActions::Relaxed;
+        let others = if relaxed { best_of_all(each, scores) } else { draw.draw(each, scores) };
+        let own = relaxed.then(|| {
+            emptied(noise, scores.len());
+            for (scores, noise) in scores.iter_mut().zip(noise) {
+                noise.resize(scores.len(), 0.0);
+                draw.shake(noise);
+                scores.iter_mut().zip(noise).for_each(|(score, noise)| *score += *noise);
+            }
+            best_of_all(each, scores)
+        });
+        let actions = [&others[..], own.as_ref().unwrap_or(&others)];
+        critic.encode(groups, &batch.observations, actions, running.is_some(), encoded);
+        others
+    }
+
+    /// Names what the rest of a run depends on.
+    pub(crate) fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        for (learner, name, adam) in [
+            (&mut self.critic_learner, "critic", "critic"),
+            (&mut self.policy_learner, "policies", "policy"),
+        ] {
+            learner.state_as(state, |part| match part {
+                "online" => name.to_owned(),
+                "target" | "average" => format!("{part}-{name}"),
+                _ => format!("{adam}-{part}"),
+            })?;
+        }
+        self.running.as_mut().map_or(Ok(()), |running| running.state(state))
+    }
+}
+
+/// Actions that all chose, and how.
+struct Choices<'a> {
+    rule: OwnActions,
+    entropy: f32,
+    columns: usize,
+    /// `[rows, columns]`: of the chances of actions.
+    logarithms: &'a [f32],
+    /// `[rows]`
+    actions: &'a [u32],
+}
+
+impl Choices<'_> {
+    /// What a row's state is worth where its actions are worth so much, and what the chance in its action is.
+    fn worth(&self, values: &[f32], row: usize) -> [f32; 2] {
+        let own = row * self.columns..(row + 1) * self.columns;
+        match self.rule {
+            OwnActions::Expected => {
+                [soft_value(&values[own.clone()], &self.logarithms[own], self.entropy), 0.0]
+            }
+            OwnActions::Drawn => {
+                let action = own.start + self.actions[row] as usize;
+                [values[action], self.entropy * self.logarithms[action]]
+            }
+            OwnActions::Relaxed => [values[row], 0.0],
+        }
+    }
+}
+
+/// Keeps what actions are worth to each head, what it is paid included.
+fn keep_values(pass: &mut Pass<'_>, values: &Values, weight: f32, found: &mut Rows) {
+    let of = values.of_actions.iter().map(|of| match of.paid {
+        Some(paid) => {
+            let paid = pass.scale(paid, weight);
+            pass.add(of.earned, paid)
+        }
+        None => of.earned,
+    });
+    let whole: Vec<Var> = of.collect();
+    keep(pass, found, whole.into_iter());
+}
+
+/// Keeps the slopes of a cost, minus all values, by the own actions that the critic sees.
+fn keep_slopes(pass: &mut Pass<'_>, values: &Values, weights: usize, found: &mut Rows) {
+    let sums: Vec<Var> = values.of_actions.iter().map(|of| pass.sum_rows(of.earned)).collect();
+    let sum = pass.stack(&sums);
+    let sum = pass.sum_rows(sum);
+    let cost = pass.scale(sum, -1.0);
+    pass.backward(cost, &mut vec![0.0; weights]);
+    emptied(found, values.own_actions.len());
+    for (own, found) in values.own_actions.iter().zip(found) {
+        found.extend_from_slice(pass.slopes(*own).unwrap_or_default());
+    }
+}
