@@ -125,6 +125,15 @@ pub struct Shard<'a, S> {
     pub space: &'a mut S,
 }
 
+/// Which weights shards look by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum By {
+    /// Those of the online network.
+    Online,
+    /// Those of the target network.
+    Target,
+}
+
 /// What a shard has found.
 #[derive(Clone, Copy, Debug)]
 pub struct Loss {
@@ -224,12 +233,13 @@ impl<S: Default + Send> Learner<S> {
         UpdateReport { loss: first.reported, gradient_norm }
     }
 
-    /// Has every shard look at its part of a batch without learning from it. What it finds stands in its
+    /// Has every shard look at its part of a batch by these weights, without learning from it. What it finds stands in its
     /// [space](Self::spaces) then.
-    pub fn look(&mut self, shards: usize, look: impl Fn(&mut Shard<'_, S>) + Sync) {
+    pub fn look(&mut self, shards: usize, by: By, look: impl Fn(&mut Shard<'_, S>) + Sync) {
         self.in_shards(shards, |[online, target], number, lane| {
             let Lane { tape, spare, space, .. } = lane;
-            look(&mut Shard { number, pass: tape.begin(online), spare, online, target, space });
+            let pass = tape.begin(if by == By::Target { target } else { online });
+            look(&mut Shard { number, pass, spare, online, target, space });
         });
     }
 

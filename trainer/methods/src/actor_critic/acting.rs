@@ -32,24 +32,23 @@ pub(crate) struct Actors<'a> {
 pub(crate) fn show(groups: &Groups, scale: f32, seen: &Observation, shown: &mut Rows) {
     for (group, shown) in groups.0.iter().zip(shown) {
         for agent in group.agents.clone() {
-            show_row(group, agent, scale, shown, |own| seen.rows.write_dense(agent, own));
+            show_row(group, agent, scale, seen.rows.row(agent), shown);
         }
     }
 }
 
-/// Adds the row of one agent; `write` writes what it sees.
+/// Adds the row of one agent, that sees these columns and numbers.
 fn show_row(
     group: &Group,
     agent: usize,
     scale: f32,
+    seen: impl Iterator<Item = (usize, f32)>,
     shown: &mut Vec<f32>,
-    write: impl FnOnce(&mut [f32]),
 ) {
     let start = shown.len();
     shown.resize(start + group.inputs(), 0.0);
     let (own, identity) = shown[start..].split_at_mut(group.observed);
-    write(own);
-    own.iter_mut().for_each(|number| *number *= scale);
+    seen.for_each(|(column, number)| own[column] = scale * number);
     if group.identity {
         identity[agent - group.agents.start] = 1.0;
     }
@@ -131,7 +130,8 @@ pub(crate) fn scores_of(
     let (index, group) = all.find(|(_, group)| group.agents.contains(&agent))?;
     let own = row.get(..group.observed)?;
     let mut shown = Vec::new();
-    show_row(group, agent, inputs.scale, &mut shown, |to| to.copy_from_slice(own));
+    let own = own.iter().copied().enumerate();
+    show_row(group, agent, inputs.scale, own, &mut shown);
     inputs.running.inspect(|running| running.normalise(index, &mut shown));
     let (mut pass, mut scores) = (tape.begin(weights), Vec::new());
     policies.score(&mut pass, index, &shown, head..head + 1, &mut scores);

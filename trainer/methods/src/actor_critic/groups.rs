@@ -45,9 +45,12 @@ impl Group {
     }
 
     /// Record and agent of each of its rows.
-    pub(crate) fn order(&self, records: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
+    pub(crate) fn order(
+        &self,
+        records: Range<usize>,
+    ) -> impl Iterator<Item = (usize, usize)> + use<> {
         let agents = self.agents.clone();
-        (0..records).flat_map(move |record| agents.clone().map(move |agent| (record, agent)))
+        records.flat_map(move |record| agents.clone().map(move |agent| (record, agent)))
     }
 
     /// Where its rows stand among those of all groups, of so many records.
@@ -62,6 +65,14 @@ impl Group {
             taken[*action as usize] = 1.0;
         }
         taken
+    }
+
+    /// Mean and variance of the columns of all these ones.
+    pub(crate) fn moments(&self, actions: &[u32]) -> Moments {
+        let (mut means, share) = (vec![0.0; self.actions], 1.0 / actions.len() as f64);
+        actions.iter().for_each(|action| means[*action as usize] += share);
+        let variances = means.iter().map(|mean| mean * (1.0 - mean)).collect();
+        Moments { means, variances }
     }
 }
 
@@ -111,7 +122,7 @@ impl Groups {
     /// For every row of so many records the rows of the other agents of its record, by their index.
     pub fn others(&self, records: usize) -> VisibleLists {
         let mut others = VisibleLists::default();
-        for (record, agent) in self.0.iter().flat_map(|group| group.order(records)) {
+        for (record, agent) in self.0.iter().flat_map(|group| group.order(0..records)) {
             let rows = (0..self.agents()).filter(|other| *other != agent);
             rows.for_each(|other| others.push(self.row(records, record, other)));
             others.end_list();
@@ -121,7 +132,7 @@ impl Groups {
 
     /// For every row of so many records its record.
     pub fn records(&self, records: usize) -> Vec<u32> {
-        let rows = self.0.iter().flat_map(|group| group.order(records));
+        let rows = self.0.iter().flat_map(|group| group.order(0..records));
         rows.map(|(record, _)| record as u32).collect()
     }
 

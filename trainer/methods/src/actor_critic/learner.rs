@@ -3,16 +3,17 @@
 //! Policies may have several heads, each with values of its own, and besides with values of a reward that only this head is
 //! paid. All learn from what any of them did.
 
-use std::fmt;
 use std::ops::Range;
 
-use sortie_learn::learner::{self, Loss, Shard};
+use sortie_learn::learner::{self, By, Loss, Shard};
 use sortie_learn::run::UpdateReport;
 use sortie_learn::{LearnError, State, words};
 use sortie_nn::layers::{normalise, softmax};
 use sortie_nn::optimise::{AdamRules, clip_norm};
 use sortie_nn::tape::{Parameters, Pass, Var};
 
+use super::batch::Batch;
+use super::critic::{Critic, Shown, Values};
 use super::groups::{Draw, Groups, Rows, Running, best_of_all, emptied};
 use super::losses::{added, drawn_loss, expected_loss, relaxed_loss, soft_value, sum};
 use super::policies::Policies;
@@ -36,134 +37,6 @@ words! {
         Kept = "kept",
         /// Those of the updated critic for actions that all draw now.
         Fresh = "fresh",
-    }
-}
-
-/// What a critic makes of what all see and do.
-pub trait Critic: fmt::Debug + Send + Sync {
-    /// How many of its weights, the first, serve so many values each.
-    fn shared(&self) -> [usize; 2];
-
-    /// Encodes what the others did and what each agent did itself, by groups and heads, perhaps normalised over the batch.
-    fn encode(
-        &self,
-        groups: &Groups,
-        observations: &Rows,
-        actions: [&[Vec<u32>]; 2],
-        normalised: bool,
-        encoded: &mut Encoded,
-    );
-
-    /// The values of some records.
-    fn values(
-        &self,
-        pass: &mut Pass<'_>,
-        groups: &Groups,
-        shown: Shown<'_>,
-        records: Range<usize>,
-    ) -> Values;
-}
-
-/// What was done, as a critic is shown it.
-#[derive(Debug, Default)]
-pub struct Encoded {
-    /// `[rows, columns]`: what the others did.
-    pub(crate) taken: Rows,
-    /// `[rows, actions]`: the own action, which only some critics see.
-    pub(crate) own: Rows,
-}
-
-/// What a critic is shown of records.
-#[derive(Clone, Copy, Debug)]
-pub struct Shown<'a> {
-    /// By groups, `[rows, inputs]`.
-    pub observations: &'a Rows,
-    /// `[records, columns]`: whole states, which only some critics see.
-    pub states: &'a [f32],
-    /// What was done.
-    pub encoded: &'a Encoded,
-}
-
-/// What a critic says.
-#[derive(Debug, Default)]
-pub struct Values {
-    /// By groups and heads.
-    pub of_actions: Vec<Value>,
-    /// `[rows, width]`: what attention makes of the others, where it is learned.
-    pub attended: Option<Var>,
-    /// `[rows, 1]`: the squared scores of attention, where it is learned.
-    pub squared_scores: Option<Var>,
-    /// By groups, `[rows, actions]`: the leaves of own actions that it sees.
-    pub own_actions: Vec<Var>,
-}
-
-/// Values of a group's actions for one head: `[rows, actions]`, or `[rows, 1]` of the own action that the critic sees.
-#[derive(Clone, Copy, Debug)]
-pub struct Value {
-    /// In rewards of the agents.
-    pub earned: Var,
-    /// In what the head is paid, if it is.
-    pub paid: Option<Var>,
-}
-
-impl From<Var> for Value {
-    fn from(earned: Var) -> Self {
-        Self { earned, paid: None }
-    }
-}
-
-/// Records, by groups: rows of agents.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Batch {
-    /// Joint records.
-    pub records: usize,
-    /// `[rows, inputs]`: what they saw.
-    pub observations: Rows,
-    /// `[rows]`: what they did.
-    pub actions: Vec<Vec<u32>>,
-    /// `[rows]`: what they earned until the next observation.
-    pub rewards: Rows,
-    /// `[rows]`: what the value of the next observation counts, 0 behind an end.
-    pub discounts: Rows,
-    /// `[rows, inputs]`: what they saw next.
-    pub next: Rows,
-    /// `[records]`: whether the next record is the next decision of the same episode; empty where none is.
-    pub follows: Vec<bool>,
-    /// `[records, columns]`: whole states, and those that followed, where the critic sees them.
-    pub states: [Vec<f32>; 2],
-    /// By groups and heads, `[rows]`: what heads are paid besides; empty of heads that are paid nothing.
-    pub paid: Rows,
-}
-
-impl Batch {
-    /// Forgets all records; there are so many groups, and this many groups and heads.
-    pub(crate) fn clear(&mut self, [groups, each]: [usize; 2]) {
-        self.records = 0;
-        self.follows.clear();
-        emptied(&mut self.actions, groups);
-        let Self { observations, rewards, discounts, next, .. } = self;
-        for rows in [observations, rewards, discounts, next] {
-            emptied(rows, groups);
-        }
-        self.states.iter_mut().for_each(Vec::clear);
-        emptied(&mut self.paid, each);
-    }
-
-    /// Adds what agents did in a record, earned by it, and what the value of what followed counts.
-    pub(crate) fn add(
-        &mut self,
-        groups: &Groups,
-        actions: &[u16],
-        reward: impl Fn(usize) -> f32,
-        discount: f32,
-    ) {
-        self.records += 1;
-        for (index, group) in groups.0.iter().enumerate() {
-            let own = || group.agents.clone();
-            self.actions[index].extend(actions[own()].iter().map(|action| u32::from(*action)));
-            self.rewards[index].extend(own().map(&reward));
-            self.discounts[index].extend(own().map(|_| discount));
-        }
     }
 }
 
@@ -194,6 +67,16 @@ pub struct Rules {
     pub shard: usize,
 }
 
+impl Rules {
+    /// `[rows, actions]`: ones for own actions, where the critic sees them.
+    fn own_rows(&self, groups: &Groups, actions: &[Vec<u32>]) -> Rows {
+        if self.own_actions != OwnActions::Relaxed {
+            return Rows::new();
+        }
+        groups.0.iter().zip(actions).map(|(group, actions)| group.one_hot(actions)).collect()
+    }
+}
+
 /// Networks and optimisers.
 #[derive(Debug)]
 pub struct ActorCritic {
@@ -212,7 +95,6 @@ pub struct ActorCritic {
     pub policy_learner: learner::Learner<Rows>,
     /// What the policies were shown, where that is normalised.
     pub running: Option<Running>,
-    encoded: Encoded,
     scores: Rows,
     /// By groups and heads: of what is earned, and of what is paid.
     targets: [Rows; 2],
@@ -273,7 +155,6 @@ impl ActorCritic {
             critic_learner: learner::Learner::new(critic_weights, of_critic, threads),
             policy_learner: learner::Learner::new(policy_weights, of_policies, threads),
             running: normalised.then(|| Running::new(&groups)),
-            encoded: Encoded::default(),
             scores: Rows::new(),
             targets: Default::default(),
             noise: Rows::new(),
@@ -315,14 +196,12 @@ impl ActorCritic {
     }
 
     /// Finds the scores of actions where agents are shown these rows, by the policies that learn or by their targets.
-    fn score(&mut self, shards: Shards, shown: &Rows, by_targets: bool) {
+    fn score(&mut self, shards: Shards, shown: &Rows, by: By) {
         let Self { groups, policies, policy_learner, scores, .. } = self;
-        policy_learner.look(shards.count(), |shard| {
-            let Shard { number, spare, online, target, space, .. } = shard;
-            let mut pass = spare.begin(if by_targets { target } else { online });
+        policy_learner.look(shards.count(), by, |Shard { number, pass, space, .. }| {
             let (heads, records) = (0..policies.heads(), shards.records(*number));
-            let scores = policies.scores(&mut pass, groups, shown, heads, records);
-            keep(&pass, space, scores.into_iter());
+            let scores = policies.scores(pass, groups, shown, heads, records);
+            keep(pass, space, scores.into_iter());
         });
         join(policy_learner, shards, scores);
     }
@@ -330,20 +209,20 @@ impl ActorCritic {
     /// What the records are worth: rewards, and the target critic's values of what comes next.
     fn find_targets(&mut self, batch: &Batch, entropy: f32, draw: &mut dyn Draw) {
         let shards = self.shards(batch);
-        self.score(shards, &batch.next, true);
-        let Self { rules, groups, each, critic, critic_learner, running, encoded, .. } = self;
+        self.score(shards, &batch.next, By::Target);
+        let Self { rules, groups, each, critic, critic_learner, running, .. } = self;
         let actions = match rules.own_actions {
             OwnActions::Relaxed => best_of_all(each, &self.scores),
             _ => draw.draw(each, &self.scores),
         };
-        critic.encode(groups, &batch.next, [&actions; 2], running.is_some(), encoded);
-        let shown = Shown { observations: &batch.next, states: &batch.states[1], encoded };
-        critic_learner.look(shards.count(), |shard| {
-            let mut pass = shard.spare.begin(shard.target);
-            let records = shards.records(shard.number);
-            let values = critic.values(&mut pass, groups, shown, records).of_actions;
+        let own = rules.own_rows(each, &actions);
+        let (observations, states) = (&batch.next, &batch.states[1][..]);
+        let normalised = running.is_some();
+        let shown = Shown { observations, states, actions: &actions, normalised, own: &own };
+        critic_learner.look(shards.count(), By::Target, |Shard { number, pass, space, .. }| {
+            let values = critic.values(pass, groups, shown, shards.records(*number)).of_actions;
             let all = values.iter().flat_map(|of| std::iter::once(of.earned).chain(of.paid));
-            keep(&pass, shard.space, all.collect::<Vec<_>>().into_iter());
+            keep(pass, space, all.collect::<Vec<_>>().into_iter());
         });
         let mut values = Rows::new();
         join(critic_learner, shards, &mut values);
@@ -380,13 +259,14 @@ impl ActorCritic {
     /// Moves the critic towards the targets. Its shards keep the values that it had.
     fn update_critic(&mut self, batch: &Batch) -> UpdateReport {
         let (shards, heads) = (self.shards(batch), self.policies.heads());
-        let Self { rules, groups, each, critic, critic_learner, running, encoded, .. } = self;
+        let Self { rules, groups, each, critic, critic_learner, running, .. } = self;
         // What was done was done under one head, and counts for all.
         let taken = batch.actions.iter().flat_map(|actions| vec![actions.clone(); heads]);
         let taken: Vec<Vec<u32>> = taken.collect();
-        let seen = &batch.observations;
-        critic.encode(groups, seen, [&taken; 2], running.is_some(), encoded);
-        let shown = Shown { observations: seen, states: &batch.states[0], encoded };
+        let own = rules.own_rows(each, &taken);
+        let (observations, states) = (&batch.observations, &batch.states[0][..]);
+        let normalised = running.is_some();
+        let shown = Shown { observations, states, actions: &taken, normalised, own: &own };
         let share = 1.0 / batch.records as f32;
         let penalty = rules.penalties[0] * share / (groups.agents() - 1).max(1) as f32;
         let [earned, paid] = &self.targets;
@@ -426,35 +306,20 @@ impl ActorCritic {
 
     /// Moves the policies towards what the critic values.
     fn update_policies(&mut self, batch: &Batch, entropy: f32, draw: &mut dyn Draw) {
-        let (shards, seen) = (self.shards(batch), &batch.observations);
-        let rule = self.rules.own_actions;
+        let (shards, rule) = (self.shards(batch), self.rules.own_actions);
         let is_fresh =
             rule == OwnActions::Relaxed || self.rules.policy_values == PolicyValues::Fresh;
-        let drawn = is_fresh.then(|| self.choose_anew(batch, draw));
-        let Self { rules, groups, each, critic, critic_learner, policies, .. } = self;
-        let shown = Shown { observations: seen, states: &batch.states[0], encoded: &self.encoded };
-        let kept: Vec<&Rows> = critic_learner.spaces().collect();
-        let weights = &critic_learner.online.values;
+        let drawn = is_fresh.then(|| self.value_anew(batch, draw));
         let actions = drawn.as_ref().unwrap_or(&batch.actions);
-        let (noise, share) = (&self.noise, 1.0 / batch.records as f32);
-        let loss = |shard: &mut Shard<'_, Rows>| {
-            let Shard { number, pass, spare, space, .. } = shard;
-            let records = shards.records(*number);
-            if is_fresh {
-                let mut values = spare.begin(weights);
-                let of = critic.values(&mut values, groups, shown, records.clone());
-                if rule == OwnActions::Relaxed {
-                    keep_slopes(&mut values, &of, weights.len(), space);
-                } else {
-                    keep_values(&mut values, &of, rules.paid_weight, space);
-                }
-            }
-            let values = if is_fresh { &**space } else { kept[*number] };
-            let heads = 0..policies.heads();
-            let scores = policies.scores(pass, groups, seen, heads, records.clone());
+        let Self { rules, groups, each, critic_learner, policies, noise, .. } = self;
+        let values: Vec<&Rows> = critic_learner.spaces().collect();
+        let share = 1.0 / batch.records as f32;
+        let loss = |Shard { number, pass, .. }: &mut Shard<'_, Rows>| {
+            let (heads, records) = (0..policies.heads(), shards.records(*number));
+            let scores = policies.scores(pass, groups, &batch.observations, heads, records.clone());
             let mut whole = None;
             for (index, scores) in scores.into_iter().enumerate() {
-                let (group, values) = (&each.0[index], &values[index]);
+                let (group, values) = (&each.0[index], &values[*number][index]);
                 let rows = group.range(&records);
                 let gain = match rule {
                     OwnActions::Expected => expected_loss(pass, scores, values, entropy),
@@ -486,25 +351,37 @@ impl ActorCritic {
         });
     }
 
-    /// Has all agents act as they would now, and shows that to the critic. Returns the actions.
+    /// Has all agents act as they would now, and the updated critic's shards keep the values of that. Returns the actions.
     ///
-    /// A critic that sees the own action is shown a drawn one, while the others do their best.
-    fn choose_anew(&mut self, batch: &Batch, draw: &mut dyn Draw) -> Vec<Vec<u32>> {
-        self.score(self.shards(batch), &batch.observations, false);
-        let Self { rules, groups, each, critic, running, encoded, scores, noise, .. } = self;
+    /// A critic that sees the own action is shown a drawn one, while the others do their best, and its shards keep slopes.
+    fn value_anew(&mut self, batch: &Batch, draw: &mut dyn Draw) -> Vec<Vec<u32>> {
+        let shards = self.shards(batch);
+        self.score(shards, &batch.observations, By::Online);
+        let Self { rules, groups, each, critic, critic_learner, running, scores, noise, .. } = self;
         let relaxed = rules.own_actions == OwnActions::Relaxed;
         let others = if relaxed { best_of_all(each, scores) } else { draw.draw(each, scores) };
-        let own = relaxed.then(|| {
+        let mut own = Rows::new();
+        if relaxed {
             emptied(noise, scores.len());
             for (scores, noise) in scores.iter_mut().zip(noise) {
                 noise.resize(scores.len(), 0.0);
                 draw.shake(noise);
                 scores.iter_mut().zip(noise).for_each(|(score, noise)| *score += *noise);
             }
-            best_of_all(each, scores)
+            own = rules.own_rows(each, &best_of_all(each, scores));
+        }
+        let (observations, states) = (&batch.observations, &batch.states[0][..]);
+        let normalised = running.is_some();
+        let shown = Shown { observations, states, actions: &others, normalised, own: &own };
+        let weights = critic_learner.online.values.len();
+        critic_learner.look(shards.count(), By::Online, |Shard { number, pass, space, .. }| {
+            let values = critic.values(pass, groups, shown, shards.records(*number));
+            if relaxed {
+                keep_slopes(pass, &values, weights, space);
+            } else {
+                keep_values(pass, &values, rules.paid_weight, space);
+            }
         });
-        let actions = [&others[..], own.as_ref().unwrap_or(&others)];
-        critic.encode(groups, &batch.observations, actions, running.is_some(), encoded);
         others
     }
 

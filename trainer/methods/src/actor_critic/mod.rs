@@ -2,6 +2,8 @@
 //! agents that share networks, policies and how they act, losses, an update of policies and critic.
 
 pub(crate) mod acting;
+pub(crate) mod batch;
+pub(crate) mod critic;
 pub(crate) mod deployed;
 pub(crate) mod groups;
 pub(crate) mod learner;

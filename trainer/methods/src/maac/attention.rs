@@ -4,8 +4,9 @@ use sortie_learn::Thought;
 use sortie_nn::tape::Tape;
 
 use crate::actor_critic::acting::Acting;
+use crate::actor_critic::critic::Shown;
 use crate::actor_critic::groups::{Group, Rows};
-use crate::actor_critic::learner::{ActorCritic, Encoded, Shown};
+use crate::actor_critic::learner::ActorCritic;
 
 /// `[scenes, A]`: what agents that have looked at scenes think, where these are their actions.
 ///
@@ -41,9 +42,8 @@ fn looks(learner: &ActorCritic, observations: &Rows, actions: &[u16]) -> Vec<Vec
         rows.map(|action| u32::from(*action)).collect()
     };
     let actions: Vec<Vec<u32>> = groups.0.iter().map(of_group).collect();
-    let mut encoded = Encoded::default();
-    critic.encode(groups, observations, [&actions; 2], false, &mut encoded);
-    let shown = Shown { observations, states: &[], encoded: &encoded };
+    let own = &Rows::new();
+    let shown = Shown { observations, states: &[], actions: &actions, normalised: false, own };
     let mut tape = Tape::default();
     let mut pass = tape.begin(&critic_learner.online.values);
     let values = critic.values(&mut pass, groups, shown, 0..scenes);

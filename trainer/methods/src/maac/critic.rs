@@ -5,14 +5,13 @@
 
 use std::ops::Range;
 
-use sortie_nn::layers::normalise;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::joint::Joint;
 use super::{CriticKind, CriticShape};
-use crate::actor_critic::groups::{Group, Groups, Rows, emptied, leaky};
-use crate::actor_critic::learner::{Critic, Encoded, Shown, Values};
+use crate::actor_critic::critic::{Critic, Shown, Values};
+use crate::actor_critic::groups::{Groups, leaky};
 
 /// Draws the first weights of a critic.
 pub(super) fn critic(
@@ -91,29 +90,6 @@ impl Critic for Attentive {
         self.shared
     }
 
-    /// Actions behind observations, `[rows, inputs + actions]`; these columns are normalised if the others are.
-    fn encode(
-        &self,
-        groups: &Groups,
-        observations: &Rows,
-        [others, _]: [&[Vec<u32>]; 2],
-        normalised: bool,
-        encoded: &mut Encoded,
-    ) {
-        emptied(&mut encoded.taken, groups.0.len());
-        for (index, (group, encoded)) in groups.0.iter().zip(&mut encoded.taken).enumerate() {
-            let mut taken = group.one_hot(&others[index]);
-            if normalised {
-                normalise::batch(group.actions, &mut taken);
-            }
-            let rows = observations[index].chunks_exact(group.inputs());
-            for (observation, taken) in rows.zip(taken.chunks_exact(group.actions)) {
-                encoded.extend_from_slice(observation);
-                encoded.extend_from_slice(taken);
-            }
-        }
-    }
-
     fn values(
         &self,
         pass: &mut Pass<'_>,
@@ -121,20 +97,20 @@ impl Critic for Attentive {
         shown: Shown<'_>,
         records: Range<usize>,
     ) -> Values {
-        let encode = |pass: &mut Pass<'_>, group: &Group, numbers: &[f32], layer: Linear| {
-            let row = layer.shape.input;
-            let x = pass.input(row, group.rows(numbers, row, &records));
-            leaky(pass, x, layer)
-        };
-        let layers = || self.groups.iter().zip(&groups.0);
-        let encoded: Vec<Var> = layers()
-            .zip(&shown.encoded.taken)
-            .map(|((of, group), numbers)| encode(pass, group, numbers, of.action_encoder))
-            .collect();
-        let states: Vec<Var> = layers()
-            .zip(shown.observations)
-            .map(|((of, group), numbers)| encode(pass, group, numbers, of.state_encoder))
-            .collect();
+        let (mut encoded, mut states) = (Vec::new(), Vec::new());
+        for (index, (layers, group)) in self.groups.iter().zip(&groups.0).enumerate() {
+            let seen = &shown.observations[index];
+            let seen = pass.input(group.inputs(), group.rows(seen, group.inputs(), &records));
+            let actions = &shown.actions[index];
+            let mut taken = group.one_hot(&actions[group.range(&records)]);
+            if shown.normalised {
+                group.moments(actions).normalise(&mut taken);
+            }
+            let taken = pass.input(group.actions, &taken);
+            let both = pass.concat(&[seen, taken]);
+            encoded.push(leaky(pass, both, layers.action_encoder));
+            states.push(leaky(pass, seen, layers.state_encoder));
+        }
         let encoded = pass.stack(&encoded);
         let values = leaky(pass, encoded, self.value);
         let (of_others, attended, squared_scores) = match self.looks {
@@ -153,12 +129,13 @@ impl Critic for Attentive {
                 (seen, Some(seen), Some(scores))
             }
         };
-        let of_actions = layers().zip(states).map(|((layers, group), state)| {
-            let others = pass.rows(of_others, group.places(records.len()));
-            let both = pass.concat(&[state, others]);
-            let hidden = leaky(pass, both, layers.hidden);
-            pass.linear(hidden, layers.head).into()
-        });
+        let of_actions =
+            self.groups.iter().zip(&groups.0).zip(states).map(|((layers, group), state)| {
+                let others = pass.rows(of_others, group.places(records.len()));
+                let both = pass.concat(&[state, others]);
+                let hidden = leaky(pass, both, layers.hidden);
+                pass.linear(hidden, layers.head).into()
+            });
         Values {
             of_actions: of_actions.collect(),
             attended,
@@ -184,6 +161,7 @@ mod tests {
     use sortie_nn::tape::Tape;
 
     use super::*;
+    use crate::actor_critic::groups::{Group, Rows};
 
     /// Two agents that share and one alone, and what they see in two records.
     fn three() -> (Groups, Rows) {
@@ -200,9 +178,8 @@ mod tests {
         let shape = CriticShape { kind, width: 8, heads: 2, sees_own: false };
         let (critic, weights) = critic(shape, &groups, &mut stream(1, 1, 0));
         let actions = [actions[..4].to_vec(), actions[4..].to_vec()];
-        let mut encoded = Encoded::default();
-        critic.encode(&groups, &observations, [&actions; 2], false, &mut encoded);
-        let shown = Shown { observations: &observations, states: &[], encoded: &encoded };
+        let (observations, own) = (&observations, &Rows::new());
+        let shown = Shown { observations, states: &[], actions: &actions, normalised: false, own };
         let mut tape = Tape::default();
         let mut pass = tape.begin(&weights.values);
         let values = critic.values(&mut pass, &groups, shown, 0..2);
@@ -215,10 +192,9 @@ mod tests {
         let (groups, observations) = three();
         let shape = CriticShape { kind, width: 8, heads: 2, sees_own: true };
         let (critic, weights) = critic(shape, &groups, &mut stream(1, 1, 0));
-        let (mut encoded, actions) = (Encoded::default(), [vec![1, 0, 1, 1], vec![0, 1]]);
-        critic.encode(&groups, &observations, [&actions; 2], false, &mut encoded);
-        encoded.own = own.clone();
-        let shown = Shown { observations: &observations, states: &[], encoded: &encoded };
+        let actions = [vec![1, 0, 1, 1], vec![0, 1]];
+        let observations = &observations;
+        let shown = Shown { observations, states: &[], actions: &actions, normalised: false, own };
         let mut tape = Tape::default();
         let mut pass = tape.begin(&weights.values);
         let values = critic.values(&mut pass, &groups, shown, 0..2);
@@ -248,21 +224,6 @@ mod tests {
         }
     }
 
-    #[test]
-    fn one_critic_for_all_knows_whom_it_is_asked_about() {
-        let (groups, _) = three();
-        let shape = CriticShape { kind: CriticKind::One, width: 8, heads: 2, sees_own: false };
-        let (critic, _) = critic(shape, &groups, &mut stream(1, 1, 0));
-        let mut encoded = Encoded::default();
-        let actions = [vec![1, 0, 1, 1], vec![0, 1]];
-        critic.encode(&groups, &vec![Vec::new(); 2], [&actions; 2], false, &mut encoded);
-        // What the others do, two columns each, and which agent.
-        let rows: Vec<&[f32]> = encoded.taken.iter().flat_map(|rows| rows.chunks(9)).collect();
-        assert_eq!(rows[1], [0., 1., 0., 0., 1., 0., 0., 1., 0.]);
-        assert_eq!(rows[4], [0., 1., 1., 0., 0., 0., 0., 0., 1.]);
-        assert_eq!(rows[5], [0., 1., 0., 1., 0., 0., 0., 0., 1.]);
-    }
-
     /// So that the mean over all own actions is a baseline.
     #[test]
     fn values_depend_on_what_the_others_did_in_the_same_record_alone() {
@@ -276,6 +237,7 @@ mod tests {
             assert_eq!(changed, [false, others, false, false, others, false], "{kind:?}");
         }
     }
+
     #[test]
     fn others_that_all_count_the_same_come_to_their_mean() {
         let (groups, _) = three();

@@ -22,8 +22,9 @@ use crate::actor_critic::groups::SLOPE;
 use crate::actor_critic::learner::Rules;
 use crate::actor_critic::policies::PolicyShape;
 
+pub use crate::actor_critic::batch::Batch;
 pub use crate::actor_critic::groups::{Draw, Group, Groups, Rows, Running};
-pub use crate::actor_critic::learner::{ActorCritic, Batch, OwnActions, PolicyValues};
+pub use crate::actor_critic::learner::{ActorCritic, OwnActions, PolicyValues};
 pub use crate::actor_critic::policies::Policies;
 pub use method::Maac;
 pub use presets::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};

@@ -6,8 +6,8 @@ use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass};
 
-use crate::actor_critic::groups::{Groups, Rows, emptied};
-use crate::actor_critic::learner::{Critic, Encoded, Shown, Value, Values};
+use crate::actor_critic::critic::{Critic, Shown, Value, Values};
+use crate::actor_critic::groups::Groups;
 
 /// Sizes of a critic.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,46 +85,31 @@ impl Critic for HeadCritic {
         [(input + 1) * output, served.sum()]
     }
 
-    /// By agents and heads what the others of an agent do: a one for each of their actions, among zeros.
-    fn encode(
+    fn values(
         &self,
+        pass: &mut Pass<'_>,
         groups: &Groups,
-        _: &Rows,
-        [others, _]: [&[Vec<u32>]; 2],
-        _: bool,
-        encoded: &mut Encoded,
-    ) {
+        shown: Shown<'_>,
+        records: Range<usize>,
+    ) -> Values {
+        let columns = self.encoder.shape.input;
+        let states = &shown.states[records.start * columns..records.end * columns];
+        let state = pass.input(columns, states);
+        let state = pass.linear_rectified(state, self.encoder);
         let heads = self.valuers.len() / groups.0.len();
-        emptied(&mut encoded.taken, self.valuers.len());
-        for (index, context) in encoded.taken.iter_mut().enumerate() {
+        let valuers = self.valuers.iter().enumerate().map(|(index, (team, own))| {
             let (agent, head) = (index / heads, index % heads);
-            let columns = self.valuers[index].0.first[1].shape.input;
-            context.resize(others[index].len() * columns, 0.0);
-            let mut first = 0;
+            // A one for each action of the others, among zeros.
+            let columns = team.first[1].shape.input;
+            let (mut others, mut first) = (vec![0.0; records.len() * columns], 0);
             for (other, group) in groups.0.iter().enumerate().filter(|(other, _)| *other != agent) {
-                let taken = &others[other * heads + head];
-                for (row, action) in context.chunks_exact_mut(columns).zip(taken) {
+                let taken = &shown.actions[other * heads + head][records.clone()];
+                for (row, action) in others.chunks_exact_mut(columns).zip(taken) {
                     row[first + *action as usize] = 1.0;
                 }
                 first += group.actions;
             }
-        }
-    }
-
-    fn values(
-        &self,
-        pass: &mut Pass<'_>,
-        _: &Groups,
-        shown: Shown<'_>,
-        records: Range<usize>,
-    ) -> Values {
-        let rows = |columns: usize| records.start * columns..records.end * columns;
-        let columns = self.encoder.shape.input;
-        let state = pass.input(columns, &shown.states[rows(columns)]);
-        let state = pass.linear_rectified(state, self.encoder);
-        let valuers = self.valuers.iter().zip(&shown.encoded.taken).map(|((team, own), taken)| {
-            let columns = team.first[1].shape.input;
-            let others = pass.input(columns, &taken[rows(columns)]);
+            let others = pass.input(columns, &others);
             let mut value = |Layers { first, last }| {
                 let hidden = pass.linear_sum_rectified([state, others], first);
                 pass.linear(hidden, last)

@@ -15,8 +15,9 @@ use sortie_nn::optimise::AdamRules;
 use crate::actor_critic::learner::Rules;
 use crate::novelty::{Columns, Intrinsic, Types};
 
+pub use crate::actor_critic::batch::Batch;
 pub use crate::actor_critic::groups::{Draw, Group, Groups, Rows};
-pub use crate::actor_critic::learner::{ActorCritic, Batch, OwnActions, PolicyValues};
+pub use crate::actor_critic::learner::{ActorCritic, OwnActions, PolicyValues};
 pub use crate::actor_critic::policies::{Policies, PolicyShape};
 pub use critic::{HeadCritic, HeadCriticShape};
 pub use meta::{MetaPolicy, Moments};
