@@ -436,6 +436,64 @@ mod tests {
     }
 
     #[test]
+    fn a_gradient_may_be_shortened_in_another_way() {
+        let (mut learner, layers) = learner(Rules::default(), 1);
+        let (first, x, targets) = (learner.online.clone(), random(1, 6), random(2, 3));
+        let loss = |shard: &mut Shard<'_, ()>| {
+            let x = shard.pass.input(6, &x);
+            let x = shard.pass.linear_rectified(x, layers[0]);
+            let y = shard.pass.linear(x, layers[1]);
+            Loss::of(&mut shard.pass, |pass| pass.squared_error(y, &targets, 1.0))
+        };
+        let report = learner.update_by(2, 0.1, loss, |gradient| {
+            assert!(clip_norm(gradient, 1e9) > 0.1);
+            gradient.fill(0.0);
+            7.0
+        });
+        assert_eq!((report.gradient_norm, &learner.online), (7.0, &first));
+        assert!(learner.gradient().iter().all(|slope| *slope == 0.0));
+        assert_eq!(learner.gradient().len(), first.values.len());
+    }
+
+    #[test]
+    fn shards_look_by_the_weights_that_are_asked_for() {
+        let mut parameters = Parameters::default();
+        let layer = parameters.linear("layer", 1, 1, &mut stream(3, 1, 0));
+        let mut learner: Learner<f32> = Learner::new(parameters, Rules::default(), 2);
+        (learner.online.values, learner.target) = (vec![3.0, 0.0], vec![2.0, 1.0]);
+        for (by, want) in [(By::Online, [0.0, 3.0, 6.0]), (By::Target, [1.0, 3.0, 5.0])] {
+            learner.look(3, by, |Shard { number, pass, space, .. }| {
+                let x = pass.input(1, &[*number as f32]);
+                let y = pass.linear(x, layer);
+                **space = pass.values(y)[0];
+            });
+            assert_eq!(learner.spaces().copied().collect::<Vec<_>>(), want);
+        }
+        assert_eq!(learner.updates(), 0);
+    }
+
+    #[test]
+    fn one_of_several_learners_has_names_of_its_own_and_no_copy_of_its_weights() {
+        let rules = Rules { average_rate: 1.0, ..Rules::default() };
+        let (mut one, mut other) = (learner(rules, 1), learner(rules, 1));
+        update(&mut one, ROWS);
+        let name = |part: &str| format!("critic-{part}");
+        let mut written = crate::run::checkpoint::Written::default();
+        one.0.state_as(&mut State::write(&mut written), name).unwrap();
+        let names = written.tensors.iter().map(|(name, ..)| name.split('/').next().unwrap());
+        let mut names: Vec<&str> = names.collect();
+        names.dedup();
+        let want = ["critic-online", "critic-target", "critic-adam-mean", "critic-adam-square"];
+        assert_eq!(names, want);
+        let folder = tempfile::tempdir().unwrap();
+        let place = crate::run::Checkpoints::new(folder.path()).write(1, &written).unwrap();
+        let purpose = crate::run::checkpoint::OpenFor::Use;
+        let found = crate::run::Checkpoint::open(&place, purpose).unwrap();
+        other.0.state_as(&mut State::weights(&found), name).unwrap();
+        assert_eq!(other.0.average, one.0.online.values);
+    }
+
+    #[test]
     fn what_is_named_is_what_updates_depend_on() {
         for rule in [Rule::Adam, Rule::RmsProp] {
             let rules = Rules { rule, target_every: 2, ..Rules::default() };

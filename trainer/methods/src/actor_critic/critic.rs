@@ -35,6 +35,8 @@ pub struct Shown<'a> {
     pub normalised: bool,
     /// By groups, `[rows, actions]`: the own action, which only some critics see.
     pub own: &'a Rows,
+    /// Whether the critic learns, so that its attention counts.
+    pub learns: bool,
 }
 
 /// What a critic says.
@@ -42,9 +44,9 @@ pub struct Shown<'a> {
 pub struct Values {
     /// By groups and heads.
     pub of_actions: Vec<Value>,
-    /// `[rows, width]`: what attention makes of the others, where it is learned.
+    /// `[rows, width]`: what attention makes of the others, where it is no plain mean.
     pub attended: Option<Var>,
-    /// `[rows, 1]`: the squared scores of attention, where it is learned.
+    /// `[rows, 1]`: the squared scores of attention, where it learns.
     pub squared_scores: Option<Var>,
     /// By groups, `[rows, actions]`: the leaves of own actions that it sees.
     pub own_actions: Vec<Var>,

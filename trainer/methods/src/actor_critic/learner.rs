@@ -45,7 +45,7 @@ words! {
 pub struct Rules {
     /// How an agent's own action counts.
     pub own_actions: OwnActions,
-    /// What policies learn from.
+    /// What policies learn from: policies of several heads from fresh values alone.
     pub policy_values: PolicyValues,
     /// What the target of the next decision counts beside its value: TD(lambda).
     pub lambda: f32,
@@ -218,7 +218,8 @@ impl ActorCritic {
         let own = rules.own_rows(each, &actions);
         let (observations, states) = (&batch.next, &batch.states[1][..]);
         let normalised = running.is_some();
-        let shown = Shown { observations, states, actions: &actions, normalised, own: &own };
+        let shown =
+            Shown { observations, states, actions: &actions, normalised, own: &own, learns: false };
         critic_learner.look(shards.count(), By::Target, |Shard { number, pass, space, .. }| {
             let values = critic.values(pass, groups, shown, shards.records(*number)).of_actions;
             let all = values.iter().flat_map(|of| std::iter::once(of.earned).chain(of.paid));
@@ -226,6 +227,13 @@ impl ActorCritic {
         });
         let mut values = Rows::new();
         join(critic_learner, shards, &mut values);
+        self.look_back(batch, entropy, &actions, &values);
+    }
+
+    /// Computes targets from what comes next, the last first: scores of actions, those that all take, and the values of all
+    /// that is earned and paid.
+    fn look_back(&mut self, batch: &Batch, entropy: f32, actions: &[Vec<u32>], values: &Rows) {
+        let Self { rules, each, .. } = self;
         let mut values = values.iter();
         self.targets.iter_mut().for_each(|targets| emptied(targets, each.0.len()));
         for (index, scores) in self.scores.iter_mut().enumerate() {
@@ -266,7 +274,8 @@ impl ActorCritic {
         let own = rules.own_rows(each, &taken);
         let (observations, states) = (&batch.observations, &batch.states[0][..]);
         let normalised = running.is_some();
-        let shown = Shown { observations, states, actions: &taken, normalised, own: &own };
+        let shown =
+            Shown { observations, states, actions: &taken, normalised, own: &own, learns: true };
         let share = 1.0 / batch.records as f32;
         let penalty = rules.penalties[0] * share / (groups.agents() - 1).max(1) as f32;
         let [earned, paid] = &self.targets;
@@ -372,7 +381,8 @@ impl ActorCritic {
         }
         let (observations, states) = (&batch.observations, &batch.states[0][..]);
         let normalised = running.is_some();
-        let shown = Shown { observations, states, actions: &others, normalised, own: &own };
+        let shown =
+            Shown { observations, states, actions: &others, normalised, own: &own, learns: false };
         let weights = critic_learner.online.values.len();
         critic_learner.look(shards.count(), By::Online, |Shard { number, pass, space, .. }| {
             let values = critic.values(pass, groups, shown, shards.records(*number));
@@ -452,5 +462,123 @@ fn keep_slopes(pass: &mut Pass<'_>, values: &Values, weights: usize, found: &mut
     emptied(found, values.own_actions.len());
     for (own, found) in values.own_actions.iter().zip(found) {
         found.extend_from_slice(pass.slopes(*own).unwrap_or_default());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_envs::random::generator;
+    use sortie_nn::tape::Linear;
+
+    use super::*;
+    use crate::actor_critic::critic::Value;
+    use crate::actor_critic::groups::Group;
+    use crate::actor_critic::policies::PolicyShape;
+
+    const RECORDS: usize = 6;
+
+    /// A layer that sees an agent's own row.
+    #[derive(Debug)]
+    struct Plain(Linear);
+
+    impl Critic for Plain {
+        fn shared(&self) -> [usize; 2] {
+            [0, 1]
+        }
+
+        fn values(
+            &self,
+            pass: &mut Pass<'_>,
+            groups: &Groups,
+            shown: Shown<'_>,
+            records: Range<usize>,
+        ) -> Values {
+            let x = pass.input(3, groups.0[0].rows(&shown.observations[0], 3, &records));
+            let paid = shown.states.first().map(|_| pass.linear(x, self.0));
+            let of_actions = vec![Value { earned: pass.linear(x, self.0), paid }];
+            Values { of_actions, ..Values::default() }
+        }
+    }
+
+    fn numbers(first: f32, count: usize) -> Vec<f32> {
+        (0..count).map(|x| (first + x as f32).sin()).collect()
+    }
+
+    /// Two episodes of two agents, of four decisions and of two; the first ends for good.
+    fn episodes(rewards: bool) -> Batch {
+        let ends = [1.0, 1.0, 1.0, 0.0, 1.0, 1.0];
+        let discounts = ends.iter().flat_map(|goes_on| [0.9 * goes_on; 2]).collect();
+        Batch {
+            records: RECORDS,
+            observations: vec![numbers(1.0, RECORDS * 2 * 3)],
+            actions: vec![(0..RECORDS as u32 * 2).map(|x| x % 2).collect()],
+            rewards: vec![if rewards { numbers(7.0, RECORDS * 2) } else { vec![0.0; 12] }],
+            discounts: vec![if rewards { discounts } else { vec![1.0; 12] }],
+            next: vec![numbers(4.0, RECORDS * 2 * 3)],
+            follows: vec![true, true, true, false, true],
+            ..Batch::default()
+        }
+    }
+
+    fn targets(lambda: f32, batch: &Batch) -> [Rows; 2] {
+        let groups = Groups(vec![Group { agents: 0..2, observed: 3, identity: false, actions: 2 }]);
+        let rules = Rules {
+            own_actions: OwnActions::Expected,
+            policy_values: PolicyValues::Kept,
+            lambda,
+            paid_discount: 0.5,
+            paid_weight: 1.0,
+            penalties: [0.0; 2],
+            rates: [0.1; 2],
+            adam: AdamRules::default(),
+            clips: [1.0; 2],
+            follow: [1.0; 2],
+            shard: 4,
+        };
+        let (mut weights, random) = (Parameters::default(), &mut generator(1));
+        let critic = Plain(weights.linear("values", 3, 2, random));
+        let shape = PolicyShape { widths: [4, 4], heads: 1, slope: 0.0 };
+        let policies = Policies::new(shape, &groups, random);
+        let critic = (Box::new(critic) as Box<dyn Critic>, weights);
+        let mut learner = ActorCritic::new(rules, groups, critic, policies, false, 1);
+        learner.find_targets(batch, 0.0, &mut generator(2));
+        learner.targets
+    }
+
+    /// Against the forward view: returns of so many decisions each, mixed by powers of lambda.
+    #[test]
+    fn targets_of_whole_episodes_mix_returns_of_all_lengths() {
+        let lambda = 0.8;
+        let batch = episodes(true);
+        let [found, _] = targets(lambda, &batch);
+        let [worth, _] = targets(0.0, &episodes(false));
+        for (agent, (first, last)) in [(0, 4), (4, 6)].into_iter().flat_map(|e| [(0, e), (1, e)]) {
+            for start in first..last {
+                let row = |record: usize| record * 2 + agent;
+                let (mut earned, mut discount, mut want, mut rest) = (0.0, 1.0, 0.0, 1.0);
+                for record in start..last {
+                    earned += discount * batch.rewards[0][row(record)];
+                    discount *= batch.discounts[0][row(record)];
+                    let share = if record + 1 == last { rest } else { rest * (1.0 - lambda) };
+                    want += share * (earned + discount * worth[0][row(record)]);
+                    rest *= lambda;
+                }
+                let found = found[0][row(start)];
+                assert!((found - want).abs() < 1e-5, "{agent} {start}: {found} {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_heads_are_paid_has_a_discount_of_its_own_and_ends_with_the_episode() {
+        let [worth, _] = targets(0.0, &episodes(false));
+        let mut batch = episodes(true);
+        (batch.states, batch.paid) = ([vec![1.0], vec![1.0]], vec![numbers(2.0, RECORDS * 2)]);
+        let [_, paid] = targets(0.0, &batch);
+        for (row, paid) in paid[0].iter().enumerate() {
+            let discount = if batch.discounts[0][row] > 0.0 { 0.5 } else { 0.0 };
+            let want = batch.paid[0][row] + discount * worth[0][row];
+            assert!((paid - want).abs() < 1e-6, "{row}: {paid} {want}");
+        }
     }
 }

@@ -43,7 +43,14 @@ fn looks(learner: &ActorCritic, observations: &Rows, actions: &[u16]) -> Vec<Vec
     };
     let actions: Vec<Vec<u32>> = groups.0.iter().map(of_group).collect();
     let own = &Rows::new();
-    let shown = Shown { observations, states: &[], actions: &actions, normalised: false, own };
+    let shown = Shown {
+        observations,
+        states: &[],
+        actions: &actions,
+        normalised: false,
+        own,
+        learns: false,
+    };
     let mut tape = Tape::default();
     let mut pass = tape.begin(&critic_learner.online.values);
     let values = critic.values(&mut pass, groups, shown, 0..scenes);

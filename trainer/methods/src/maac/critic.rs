@@ -125,8 +125,8 @@ impl Critic for Attentive {
                 let keys_values = pass.concat(&[keys, values]);
                 let others = groups.others(records.len());
                 let seen = pass.attention(queries, keys_values, &others, self.heads);
-                let scores = pass.squared_scores(queries, keys_values, &others, self.heads);
-                (seen, Some(seen), Some(scores))
+                let scores = || pass.squared_scores(queries, keys_values, &others, self.heads);
+                (seen, Some(seen), shown.learns.then(scores))
             }
         };
         let of_actions =
@@ -179,7 +179,14 @@ mod tests {
         let (critic, weights) = critic(shape, &groups, &mut stream(1, 1, 0));
         let actions = [actions[..4].to_vec(), actions[4..].to_vec()];
         let (observations, own) = (&observations, &Rows::new());
-        let shown = Shown { observations, states: &[], actions: &actions, normalised: false, own };
+        let shown = Shown {
+            observations,
+            states: &[],
+            actions: &actions,
+            normalised: false,
+            own,
+            learns: false,
+        };
         let mut tape = Tape::default();
         let mut pass = tape.begin(&weights.values);
         let values = critic.values(&mut pass, &groups, shown, 0..2);
@@ -194,7 +201,14 @@ mod tests {
         let (critic, weights) = critic(shape, &groups, &mut stream(1, 1, 0));
         let actions = [vec![1, 0, 1, 1], vec![0, 1]];
         let observations = &observations;
-        let shown = Shown { observations, states: &[], actions: &actions, normalised: false, own };
+        let shown = Shown {
+            observations,
+            states: &[],
+            actions: &actions,
+            normalised: false,
+            own,
+            learns: false,
+        };
         let mut tape = Tape::default();
         let mut pass = tape.begin(&weights.values);
         let values = critic.values(&mut pass, &groups, shown, 0..2);
