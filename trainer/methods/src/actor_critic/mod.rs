@@ -2,10 +2,10 @@
 //! agents that share networks, policies and how they act, losses, an update of policies and critic.
 
 pub(crate) mod acting;
-pub(crate) mod batch;
 pub(crate) mod critic;
 pub(crate) mod deployed;
 pub(crate) mod groups;
 pub(crate) mod learner;
 pub(crate) mod losses;
 pub(crate) mod policies;
+pub(crate) mod rules;

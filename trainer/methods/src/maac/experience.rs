@@ -7,7 +7,7 @@ use sortie_learn::{LearnError, Scene, Scenes, State, Trajectories, Transition};
 
 use super::{Config, ReturnsConfig};
 use crate::actor_critic::acting::{Acting, Actors, show};
-use crate::actor_critic::batch::Batch;
+use crate::actor_critic::critic::Batch;
 use crate::actor_critic::learner::ActorCritic;
 
 /// Decisions of all instances, those that hold and those that are kept.

@@ -11,7 +11,7 @@ use super::Config;
 use super::attention::thoughts;
 use super::experience::Experience;
 use crate::actor_critic::acting::{Acting, Actors};
-use crate::actor_critic::batch::Batch;
+use crate::actor_critic::critic::Batch;
 use crate::actor_critic::deployed::deployed;
 use crate::actor_critic::groups::Groups;
 use crate::actor_critic::learner::ActorCritic;

@@ -19,13 +19,14 @@ use sortie_nn::random::Generator;
 
 use crate::actor_critic::acting::{Actors, Inputs};
 use crate::actor_critic::groups::SLOPE;
-use crate::actor_critic::learner::Rules;
 use crate::actor_critic::policies::PolicyShape;
+use crate::actor_critic::rules::Rules;
 
-pub use crate::actor_critic::batch::Batch;
+pub use crate::actor_critic::critic::Batch;
 pub use crate::actor_critic::groups::{Draw, Group, Groups, Rows, Running};
-pub use crate::actor_critic::learner::{ActorCritic, OwnActions, PolicyValues};
+pub use crate::actor_critic::learner::ActorCritic;
 pub use crate::actor_critic::policies::Policies;
+pub use crate::actor_critic::rules::{OwnActions, PolicyValues};
 pub use method::Maac;
 pub use presets::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};
 

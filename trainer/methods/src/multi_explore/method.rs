@@ -14,7 +14,7 @@ use sortie_nn::tape::Tape;
 use super::Config;
 use super::meta::{MetaPolicy, Moments};
 use crate::actor_critic::acting::{Acting, Actors, Inputs, scores_of, show};
-use crate::actor_critic::batch::Batch;
+use crate::actor_critic::critic::Batch;
 use crate::actor_critic::deployed::deployed;
 use crate::actor_critic::groups::best;
 use crate::actor_critic::learner::ActorCritic;

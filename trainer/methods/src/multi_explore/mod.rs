@@ -12,13 +12,14 @@ use toml::Table;
 
 use sortie_nn::optimise::AdamRules;
 
-use crate::actor_critic::learner::Rules;
+use crate::actor_critic::rules::Rules;
 use crate::novelty::{Columns, Intrinsic, Types};
 
-pub use crate::actor_critic::batch::Batch;
+pub use crate::actor_critic::critic::Batch;
 pub use crate::actor_critic::groups::{Draw, Group, Groups, Rows};
-pub use crate::actor_critic::learner::{ActorCritic, OwnActions, PolicyValues};
+pub use crate::actor_critic::learner::ActorCritic;
 pub use crate::actor_critic::policies::{Policies, PolicyShape};
+pub use crate::actor_critic::rules::{OwnActions, PolicyValues};
 pub use critic::{HeadCritic, HeadCriticShape};
 pub use meta::{MetaPolicy, Moments};
 pub use method::MultiExplore;
