@@ -43,7 +43,7 @@
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::layers::elementwise;
 use sortie_nn::layers::matrix::Store;
-use sortie_nn::optimise::{Adam, RmsProp, clip_norm, move_towards};
+use sortie_nn::optimise::{Adam, AdamRules, RmsProp, clip_norm, move_towards};
 use sortie_nn::tape::{Parameters, Pass, Tape, Var};
 
 use crate::configuration::OptimiserConfig;
@@ -66,8 +66,8 @@ crate::words! {
 pub struct Rules {
     /// How weights follow the gradient.
     pub rule: Rule,
-    /// Added to Adam's denominator.
-    pub epsilon: f32,
+    /// What Adam adds to its denominator, and to the gradient.
+    pub adam: AdamRules,
     /// Largest norm of the gradient; a longer one is shortened.
     pub clip: f32,
     /// Updates from one move of the target network to the next.
@@ -81,7 +81,8 @@ pub struct Rules {
 impl From<&OptimiserConfig> for Rules {
     fn from(config: &OptimiserConfig) -> Self {
         let OptimiserConfig { epsilon, clip, target_rate, average_rate, .. } = *config;
-        Self { rule: Rule::Adam, epsilon, clip, target_every: 1, target_rate, average_rate }
+        let adam = AdamRules { epsilon, ..AdamRules::default() };
+        Self { rule: Rule::Adam, adam, clip, target_every: 1, target_rate, average_rate }
     }
 }
 
@@ -122,6 +123,15 @@ pub struct Shard<'a, S> {
     pub target: &'a [f32],
     /// What the shard keeps.
     pub space: &'a mut S,
+}
+
+/// Which weights shards look by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum By {
+    /// Those of the online network.
+    Online,
+    /// Those of the target network.
+    Target,
 }
 
 /// What a shard has found.
@@ -172,7 +182,7 @@ impl<S: Default + Send> Learner<S> {
     /// Begins with these weights, in all three.
     pub fn new(online: Parameters, rules: Rules, threads: usize) -> Self {
         let [target, average] = [online.values.clone(), online.values.clone()];
-        let optimiser = Optimiser::new(rules, online.values.len());
+        let optimiser = Optimiser::new(rules.rule, online.values.len());
         Self { online, target, average, rules, optimiser, updates: 0, threads, lanes: Vec::new() }
     }
 
@@ -191,19 +201,30 @@ impl<S: Default + Send> Learner<S> {
         learning_rate: f32,
         loss: impl Fn(&mut Shard<'_, S>) -> Loss + Sync,
     ) -> UpdateReport {
-        let Self { online, target, average, rules, optimiser, updates, threads, lanes } = self;
-        lanes.resize_with(shards.max(lanes.len()), Lane::default);
-        let lanes = &mut lanes[..shards];
-        in_lanes(*threads, lanes, |number, lane| {
-            lane.descend(number, [&online.values, target], &loss);
-        });
-        let (first, others) = lanes.split_first_mut().expect("a batch has shards");
+        let clip = self.rules.clip;
+        self.update_by(shards, learning_rate, loss, |gradient| clip_norm(gradient, clip))
+    }
+
+    /// The same, where the gradient of all shards is shortened in a way of its own; `shorten` returns its norm before.
+    ///
+    /// # Panics
+    /// There is no shard.
+    pub fn update_by(
+        &mut self,
+        shards: usize,
+        learning_rate: f32,
+        loss: impl Fn(&mut Shard<'_, S>) -> Loss + Sync,
+        shorten: impl FnOnce(&mut [f32]) -> f32,
+    ) -> UpdateReport {
+        self.in_shards(shards, |weights, number, lane| lane.descend(number, weights, &loss));
+        let Self { online, target, average, rules, optimiser, updates, lanes, .. } = self;
+        let (first, others) = lanes[..shards].split_first_mut().expect("a batch has shards");
         for other in others {
             elementwise::scale(1.0, &other.gradient, Store::Add, &mut first.gradient);
             first.reported += other.reported;
         }
-        let gradient_norm = clip_norm(&mut first.gradient, rules.clip);
-        optimiser.step(&mut online.values, &first.gradient, learning_rate);
+        let gradient_norm = shorten(&mut first.gradient);
+        optimiser.step(rules.adam, &mut online.values, &first.gradient, learning_rate);
         *updates += 1;
         if updates.is_multiple_of(rules.target_every) {
             come_nearer(target, &online.values, rules.target_rate);
@@ -212,20 +233,63 @@ impl<S: Default + Send> Learner<S> {
         UpdateReport { loss: first.reported, gradient_norm }
     }
 
+    /// Has every shard look at its part of a batch by these weights, without learning from it. What it finds stands in its
+    /// [space](Self::spaces) then.
+    pub fn look(&mut self, shards: usize, by: By, look: impl Fn(&mut Shard<'_, S>) + Sync) {
+        self.in_shards(shards, |[online, target], number, lane| {
+            let Lane { tape, spare, space, .. } = lane;
+            let pass = tape.begin(if by == By::Target { target } else { online });
+            look(&mut Shard { number, pass, spare, online, target, space });
+        });
+    }
+
+    fn in_shards(&mut self, shards: usize, work: impl Fn([&[f32]; 2], usize, &mut Lane<S>) + Sync) {
+        let Self { online, target, threads, lanes, .. } = self;
+        lanes.resize_with(shards.max(lanes.len()), Lane::default);
+        in_lanes(*threads, &mut lanes[..shards], |number, lane| {
+            work([&online.values, target], number, lane);
+        });
+    }
+
+    /// What each shard keeps, of as many as the largest batch had.
+    pub fn spaces(&self) -> impl ExactSizeIterator<Item = &S> {
+        self.lanes.iter().map(|lane| &lane.space)
+    }
+
+    /// The gradient of the last update, as the optimiser saw it; empty before the first.
+    pub fn gradient(&self) -> &[f32] {
+        self.lanes.first().map_or(&[], |lane| &lane.gradient)
+    }
+
     /// Names everything that later updates depend on.
     ///
     /// # Errors
     /// A checkpoint has other tensors.
     pub fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        self.state_as(state, |part| part.to_owned())
+    }
+
+    /// The same of one of several learners, by these names for `online`, `target`, `average` and what the optimiser keeps.
+    /// Averaged weights are not written where they are copies.
+    ///
+    /// # Errors
+    /// A checkpoint has other tensors.
+    pub fn state_as(
+        &mut self,
+        state: &mut State<'_>,
+        name: impl Fn(&str) -> String,
+    ) -> Result<(), LearnError> {
         let tensors = self.online.tensors().to_vec();
         let Self { online, target, average, .. } = self;
-        for (name, vector) in
-            [("online", &mut online.values), ("target", target), ("average", average)]
-        {
-            state.tensors(name, &tensors, vector)?;
+        state.tensors(&name("online"), &tensors, &mut online.values)?;
+        state.tensors(&name("target"), &tensors, target)?;
+        if self.rules.average_rate < 1.0 {
+            state.tensors(&name("average"), &tensors, average)?;
+        } else {
+            average.copy_from_slice(&online.values);
         }
-        self.optimiser.state(state, &tensors)?;
-        state.value("updates", &mut self.updates)
+        self.optimiser.state(state, &tensors, &name)?;
+        state.value(&name("updates"), &mut self.updates)
     }
 }
 
@@ -246,29 +310,40 @@ enum Optimiser {
 
 impl Optimiser {
     /// One that has taken no step yet.
-    fn new(rules: Rules, parameters: usize) -> Self {
-        match rules.rule {
-            Rule::Adam => Self::Adam(Adam::new(parameters, rules.epsilon)),
+    fn new(rule: Rule, parameters: usize) -> Self {
+        match rule {
+            Rule::Adam => Self::Adam(Adam::new(parameters, 0.0)),
             Rule::RmsProp => Self::RmsProp(RmsProp::new(parameters)),
         }
     }
 
     /// Takes one step down the gradient.
-    fn step(&mut self, parameters: &mut [f32], gradient: &[f32], learning_rate: f32) {
+    fn step(
+        &mut self,
+        rules: AdamRules,
+        parameters: &mut [f32],
+        gradient: &[f32],
+        learning_rate: f32,
+    ) {
         match self {
-            Self::Adam(adam) => adam.step(&mut [parameters], gradient, learning_rate),
+            Self::Adam(adam) => adam.step_by(rules, parameters, gradient, learning_rate),
             Self::RmsProp(rule) => rule.step(parameters, gradient, learning_rate),
         }
     }
 
-    fn state(&mut self, state: &mut State<'_>, tensors: &[Tensor]) -> Result<(), LearnError> {
+    fn state(
+        &mut self,
+        state: &mut State<'_>,
+        tensors: &[Tensor],
+        name: impl Fn(&str) -> String,
+    ) -> Result<(), LearnError> {
         match self {
             Self::Adam(adam) => {
-                state.tensors("adam-mean", tensors, &mut adam.mean)?;
-                state.tensors("adam-square", tensors, &mut adam.square)?;
-                state.value("adam-steps", &mut adam.steps)
+                state.tensors(&name("adam-mean"), tensors, &mut adam.mean)?;
+                state.tensors(&name("adam-square"), tensors, &mut adam.square)?;
+                state.value(&name("adam-steps"), &mut adam.steps)
             }
-            Self::RmsProp(rule) => state.tensors("square", tensors, &mut rule.square),
+            Self::RmsProp(rule) => state.tensors(&name("square"), tensors, &mut rule.square),
         }
     }
 }
@@ -358,6 +433,64 @@ mod tests {
             assert_eq!(*own, average);
         }
         assert_eq!(learner.0.updates(), 4);
+    }
+
+    #[test]
+    fn a_gradient_may_be_shortened_in_another_way() {
+        let (mut learner, layers) = learner(Rules::default(), 1);
+        let (first, x, targets) = (learner.online.clone(), random(1, 6), random(2, 3));
+        let loss = |shard: &mut Shard<'_, ()>| {
+            let x = shard.pass.input(6, &x);
+            let x = shard.pass.linear_rectified(x, layers[0]);
+            let y = shard.pass.linear(x, layers[1]);
+            Loss::of(&mut shard.pass, |pass| pass.squared_error(y, &targets, 1.0))
+        };
+        let report = learner.update_by(2, 0.1, loss, |gradient| {
+            assert!(clip_norm(gradient, 1e9) > 0.1);
+            gradient.fill(0.0);
+            7.0
+        });
+        assert_eq!((report.gradient_norm, &learner.online), (7.0, &first));
+        assert!(learner.gradient().iter().all(|slope| *slope == 0.0));
+        assert_eq!(learner.gradient().len(), first.values.len());
+    }
+
+    #[test]
+    fn shards_look_by_the_weights_that_are_asked_for() {
+        let mut parameters = Parameters::default();
+        let layer = parameters.linear("layer", 1, 1, &mut stream(3, 1, 0));
+        let mut learner: Learner<f32> = Learner::new(parameters, Rules::default(), 2);
+        (learner.online.values, learner.target) = (vec![3.0, 0.0], vec![2.0, 1.0]);
+        for (by, want) in [(By::Online, [0.0, 3.0, 6.0]), (By::Target, [1.0, 3.0, 5.0])] {
+            learner.look(3, by, |Shard { number, pass, space, .. }| {
+                let x = pass.input(1, &[*number as f32]);
+                let y = pass.linear(x, layer);
+                **space = pass.values(y)[0];
+            });
+            assert_eq!(learner.spaces().copied().collect::<Vec<_>>(), want);
+        }
+        assert_eq!(learner.updates(), 0);
+    }
+
+    #[test]
+    fn one_of_several_learners_has_names_of_its_own_and_no_copy_of_its_weights() {
+        let rules = Rules { average_rate: 1.0, ..Rules::default() };
+        let (mut one, mut other) = (learner(rules, 1), learner(rules, 1));
+        update(&mut one, ROWS);
+        let name = |part: &str| format!("critic-{part}");
+        let mut written = crate::run::checkpoint::Written::default();
+        one.0.state_as(&mut State::write(&mut written), name).unwrap();
+        let names = written.tensors.iter().map(|(name, ..)| name.split('/').next().unwrap());
+        let mut names: Vec<&str> = names.collect();
+        names.dedup();
+        let want = ["critic-online", "critic-target", "critic-adam-mean", "critic-adam-square"];
+        assert_eq!(names, want);
+        let folder = tempfile::tempdir().unwrap();
+        let place = crate::run::Checkpoints::new(folder.path()).write(1, &written).unwrap();
+        let purpose = crate::run::checkpoint::OpenFor::Use;
+        let found = crate::run::Checkpoint::open(&place, purpose).unwrap();
+        other.0.state_as(&mut State::weights(&found), name).unwrap();
+        assert_eq!(other.0.average, one.0.online.values);
     }
 
     #[test]

@@ -141,6 +141,16 @@ pub struct Trajectories {
     episodes: VecDeque<Episode>,
     /// Episodes that have ended since the run began.
     finished: u64,
+    /// By earners: sums over what is kept.
+    earned: Vec<Earned>,
+}
+
+/// Sums over the rewards of an agent, from which follow those of what was forgotten.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Earned {
+    count: f64,
+    sum: f64,
+    squares: f64,
 }
 
 /// The states of one instance.
@@ -176,7 +186,8 @@ impl Trajectories {
     /// An empty buffer for so many instances.
     pub fn new(capacity: Capacity, instances: usize, widths: Widths) -> Self {
         let streams = vec![Stream::default(); instances];
-        Self { capacity, widths, streams, episodes: VecDeque::new(), finished: 0 }
+        let earned = vec![Earned::default(); widths.earners];
+        Self { capacity, widths, streams, episodes: VecDeque::new(), finished: 0, earned }
     }
 
     /// Adds a step.
@@ -201,13 +212,16 @@ impl Trajectories {
         block.rewards.push(step.reward as f32);
         padded(task_rewards, widths.tasks, &mut block.rewards);
         padded(agent_rewards, widths.earners, &mut block.rewards);
+        let earned = &block.rewards[block.rewards.len() - widths.earners..];
+        self.earned.iter_mut().zip(earned).for_each(|(sums, reward)| sums.add(*reward, 1.0));
         if step.done() {
             let block = stream.write(next, End::Nothing, *widths);
             block.actions.resize(block.actions.len() + widths.agents, 0);
             block.rewards.resize(block.rewards.len() + widths.rewards(), 0.0);
         }
         if let Capacity::States(kept) = *capacity {
-            stream.forget_before(stream.next.saturating_sub(kept as u64));
+            let first = stream.next.saturating_sub(kept as u64);
+            self.forget_before(instance, first);
         }
         if step.done() {
             self.end_episode(instance);
@@ -225,9 +239,35 @@ impl Trajectories {
             let oldest = (self.episodes.len() > kept).then(|| self.episodes.pop_front());
             if let Some(Episode { first, steps }) = oldest.flatten() {
                 // Episodes of an instance end in their order, so that all before this one are gone.
-                self.streams[first.instance as usize].forget_before(first.after(steps + 1).number);
+                self.forget_before(first.instance as usize, first.after(steps + 1).number);
             }
         }
+    }
+
+    /// Forgets all states of an instance with smaller numbers.
+    fn forget_before(&mut self, instance: usize, number: u64) {
+        if self.widths.earners > 0 {
+            let place = |number| Place { instance: instance as u32, number };
+            for place in (self.streams[instance].kept_from..number).map(place) {
+                if self.end(place) == End::Nothing {
+                    continue;
+                }
+                for agent in 0..self.widths.earners {
+                    let reward = self.rewards(place).agents[agent];
+                    self.earned[agent].add(reward, -1.0);
+                }
+            }
+        }
+        self.streams[instance].forget_before(number);
+    }
+
+    /// A reward of an agent in deviations from the mean of all of its rewards that are kept.
+    pub fn in_deviations(&self, agent: usize, reward: f32) -> f32 {
+        let Earned { count, sum, squares } = self.earned[agent];
+        let mean = sum / count;
+        let deviation = (squares / count - mean * mean).max(0.0).sqrt();
+        let deviation = if deviation > 0.0 { deviation } else { 1.0 };
+        ((f64::from(reward) - mean) / deviation) as f32
     }
 
     /// Draws a state that so many more follow, in which something was done. There needs to be one.
@@ -270,6 +310,11 @@ impl Trajectories {
     /// The whole episodes that are kept; none where the capacity is in states.
     pub fn episodes(&self) -> usize {
         self.episodes.len()
+    }
+
+    /// The episodes that ended last, so many of those that are kept, in their order.
+    pub fn latest(&self, count: usize) -> impl Iterator<Item = Episode> {
+        self.episodes.iter().skip(self.episodes.len().saturating_sub(count)).copied()
     }
 
     /// Draws so many different episodes (Floyd's way); there need to be as many.
@@ -333,6 +378,15 @@ impl Trajectories {
             return Ok(());
         }
         Err(LearnError::Config("`trajectories` of the checkpoint: of another size".to_owned()))
+    }
+}
+
+impl Earned {
+    fn add(&mut self, reward: f32, times: f64) {
+        let reward = f64::from(reward);
+        self.count += times;
+        self.sum += times * reward;
+        self.squares += times * reward * reward;
     }
 }
 

@@ -4,7 +4,9 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::{SparseRows, Spec};
+use sortie_envs::random::unit;
+use sortie_envs::{Random, SparseRows, Spec};
+use sortie_learn::words;
 
 /// Probabilities of a pit from which on it counts as likelier to open; below the first it counts as none.
 pub(crate) const PITS: [f32; 3] = [0.02, 0.08, 0.25];
@@ -66,29 +68,27 @@ impl Columns {
         self.row + 2 * SIDE
     }
 
-    /// Adds a state, from what all agents see, one behind the other.
-    pub(crate) fn write_state(&self, observation: &[f32], state: &mut Vec<f32>) {
-        for row in observation.chunks_exact(self.width) {
-            state.extend_from_slice(&row[..self.row]);
-        }
-        for cell in self.cells(observation) {
-            let start = state.len();
-            state.resize(start + 2 * SIDE, 0.0);
-            state[start + usize::from(cell) / SIDE] = 1.0;
-            state[start + SIDE + usize::from(cell) % SIDE] = 1.0;
+    /// Adds a state, from the rows of all agents.
+    pub(crate) fn write_state(&self, rows: &SparseRows, state: &mut Vec<f32>) {
+        let start = state.len();
+        state.resize(start + rows.len() * self.of_state(), 0.0);
+        let (seen, cells) = state[start..].split_at_mut(rows.len() * self.row);
+        let places = seen.chunks_exact_mut(self.row).zip(cells.chunks_exact_mut(2 * SIDE));
+        for (agent, (seen, cell)) in places.enumerate() {
+            let before = rows.row(agent).filter(|(column, _)| *column < self.row);
+            before.for_each(|(column, value)| seen[column] = value);
+            let Place { cell: place, .. } = self.place(rows, agent);
+            cell[usize::from(place) / SIDE] = 1.0;
+            cell[SIDE + usize::from(place) % SIDE] = 1.0;
         }
     }
 
-    /// The agents' cells, from the same.
+    /// The agents' cells.
     pub(crate) fn cells<'a>(
-        &self,
-        observation: &'a [f32],
+        &'a self,
+        rows: &'a SparseRows,
     ) -> impl Iterator<Item = u16> + Clone + 'a {
-        let (row, column) = (self.row, self.column);
-        observation.chunks_exact(self.width).map(move |seen| {
-            let [row, column] = [seen[row], seen[column]].map(|part| (part * SIDE as f32).round());
-            row as u16 * SIDE as u16 + column as u16
-        })
+        (0..rows.len()).map(|agent| self.place(rows, agent).cell)
     }
 
     /// Where a row says that its agent is.
@@ -207,22 +207,22 @@ fn team(cells: impl Iterator<Item = u16>) -> u64 {
     cells.fold(0, |key, cell| key << 16 | u64::from(cell))
 }
 
-/// What counts as worth exploring.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Intrinsic {
-    /// What is novel to the agent itself.
-    Independent,
-    /// What is novel to everybody.
-    Minimum,
-    /// What is more novel to the agent than to the team: places that it knows less than others.
-    Covering,
-    /// What is less novel to the agent than to the team: places that it knows better than others.
-    Burrowing,
-    /// The first agent burrows, the others cover.
-    LeaderFollower,
-    /// Where the team as a whole has not been.
-    Centralized,
+words! {
+    /// What counts as worth exploring.
+    Intrinsic {
+        /// What is novel to the agent itself.
+        Independent = "independent",
+        /// What is novel to everybody.
+        Minimum = "minimum",
+        /// What is more novel to the agent than to the team: places that it knows less than others.
+        Covering = "covering",
+        /// What is less novel to the agent than to the team: places that it knows better than others.
+        Burrowing = "burrowing",
+        /// The first agent burrows, the others cover.
+        LeaderFollower = "leader-follower",
+        /// Where the team as a whole has not been.
+        Centralized = "centralized",
+    }
 }
 
 impl Intrinsic {
@@ -232,14 +232,7 @@ impl Intrinsic {
 
     /// Its name, as configurations have it.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Independent => "independent",
-            Self::Minimum => "minimum",
-            Self::Covering => "covering",
-            Self::Burrowing => "burrowing",
-            Self::LeaderFollower => "leader-follower",
-            Self::Centralized => "centralized",
-        }
+        Self::WORDS[self as usize]
     }
 
     /// What an agent earns in a cell that is so novel to each agent, and where the team's cells together are so novel.
@@ -303,6 +296,44 @@ impl Types {
     }
 }
 
+/// How likely heads are, by softmax of their scores in this temperature: shares that add up to anything.
+pub(crate) fn shares(scores: impl Iterator<Item = f64> + Clone, temperature: f64) -> Vec<f64> {
+    let most = scores.clone().fold(f64::NEG_INFINITY, f64::max);
+    scores.map(|score| ((score - most) / temperature).exp()).collect()
+}
+
+/// Draws a head by its share.
+pub(crate) fn drawn(shares: &[f64], random: &mut Random) -> usize {
+    let mut left = unit(random) * shares.iter().sum::<f64>();
+    let drawn = shares.iter().position(|share| {
+        left -= share;
+        left < 0.0
+    });
+    drawn.unwrap_or(shares.len() - 1)
+}
+
+/// The discounted return of a running episode.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(crate) struct Discounted {
+    pub(crate) sum: f64,
+    /// What a reward of the next step counts.
+    pub(crate) factor: f64,
+}
+
+impl Default for Discounted {
+    fn default() -> Self {
+        Self { sum: 0.0, factor: 1.0 }
+    }
+}
+
+impl Discounted {
+    /// Adds a reward.
+    pub(crate) fn add(&mut self, reward: f64, discount: f32) {
+        self.sum += self.factor * reward;
+        self.factor *= f64::from(discount);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use sortie_envs::gridworld;
@@ -320,10 +351,11 @@ mod tests {
         let columns = Columns { pits: 1..2, found: 2..4, row: 4, column: 5, width: 8 };
         let seen = [1.0, 0.0, 0.0, 1.0, 0.35, 0.85, 0.3, 0.3];
         let other = [0.0, 0.25, 1.0, 0.0, 0.0, 0.95, -0.3, -0.3];
-        let observation = [seen, other].concat();
-        assert_eq!(columns.cells(&observation).collect::<Vec<_>>(), [7 * 20 + 17, 19]);
+        let mut rows = SparseRows::default();
+        [seen, other].iter().for_each(|row| rows.push_dense(row));
+        assert_eq!(columns.cells(&rows).collect::<Vec<_>>(), [7 * 20 + 17, 19]);
         let mut state = Vec::new();
-        columns.write_state(&observation, &mut state);
+        columns.write_state(&rows, &mut state);
         assert_eq!(state.len(), 2 * columns.of_state());
         let ones: Vec<usize> = (8..state.len()).filter(|at| state[*at] == 1.0).collect();
         assert_eq!(state[..8], [1.0, 0.0, 0.0, 1.0, 0.0, 0.25, 1.0, 0.0]);

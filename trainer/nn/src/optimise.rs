@@ -51,6 +51,21 @@ pub struct Adam {
     pub steps: u64,
 }
 
+/// What is added to what.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AdamRules {
+    /// Added to the denominator.
+    pub epsilon: f32,
+    /// Whether that is added before the correction of first steps, as PyTorch did until version 1.2.
+    pub early_epsilon: bool,
+    /// How much of a weight is added to its slope.
+    pub decay: f32,
+}
+
+/// What counts as zero where weights decay: those of units that serve nobody would shrink to denormal numbers, which
+/// processors multiply a hundred times as slowly.
+const NOTHING: f32 = 1e-20;
+
 impl Adam {
     const DECAY_MEAN: f32 = 0.9;
     const DECAY_SQUARE: f32 = 0.999;
@@ -58,6 +73,35 @@ impl Adam {
     /// An optimiser that has taken no step yet.
     pub fn new(parameters: usize, epsilon: f32) -> Self {
         Self { epsilon, mean: vec![0.0; parameters], square: vec![0.0; parameters], steps: 0 }
+    }
+
+    /// Takes one step down the gradient of a whole vector as the rules say.
+    pub fn step_by(
+        &mut self,
+        rules: AdamRules,
+        parameters: &mut [f32],
+        gradient: &[f32],
+        learning_rate: f32,
+    ) {
+        let AdamRules { epsilon, early_epsilon, decay } = rules;
+        self.epsilon = epsilon;
+        if early_epsilon {
+            // Before the correction: what is added is corrected as well.
+            let correction = 1.0 - 0.999_f64.powf((self.steps + 1) as f64);
+            self.epsilon = (f64::from(epsilon) / correction.sqrt()) as f32;
+        }
+        if decay == 0.0 {
+            self.step(&mut [parameters], gradient, learning_rate);
+            return;
+        }
+        let slopes = gradient.iter().zip(&*parameters);
+        let decayed: Vec<f32> = slopes.map(|(slope, weight)| slope + decay * weight).collect();
+        self.step(&mut [&mut *parameters], &decayed, learning_rate);
+        for number in parameters.iter_mut().chain(&mut self.mean) {
+            if number.abs() < NOTHING {
+                *number = 0.0;
+            }
+        }
     }
 
     /// Takes one step down the gradient, which has a number for every parameter of every part.
@@ -190,6 +234,34 @@ mod tests {
         }
         assert_eq!(by_parts, at_once);
         assert_eq!([first[0], second[0], second[1]], whole);
+    }
+
+    #[test]
+    fn weights_that_only_decay_end_at_zero_and_never_as_denormal_numbers() {
+        let rules = AdamRules { epsilon: 1e-8, early_epsilon: true, decay: 1e-3 };
+        let (mut adam, mut weights) = (Adam::new(2, 1e-8), [0.3, 0.3]);
+        for time in 0..40_000 {
+            // The first is of a unit that served somebody once, the second of one that still does.
+            let once = if time < 10 { 1.0 } else { 0.0 };
+            adam.step_by(rules, &mut weights, &[once, 1.0 - 2.0 * (time % 2) as f32], 1e-3);
+            let small = |number: &f32| *number != 0.0 && number.abs() < NOTHING;
+            assert!(!weights.iter().chain(&adam.mean).any(small), "{time}: {weights:?} {adam:?}");
+        }
+        assert_eq!((weights[0], adam.mean[0]), (0.0, 0.0));
+        assert!(weights[1] != 0.0);
+    }
+
+    #[test]
+    fn what_is_added_early_is_corrected_as_well() {
+        let step = |early_epsilon: bool, epsilon: f32| {
+            let (mut adam, mut weight) = (Adam::new(1, 0.0), [1.0]);
+            let rules = AdamRules { epsilon, early_epsilon, decay: 0.0 };
+            adam.step_by(rules, &mut weight, &[0.5], 0.1);
+            weight[0]
+        };
+        // The square of the first step counts a thousandth.
+        assert_eq!(step(true, 0.1), step(false, 0.1 / 0.001_f32.sqrt()));
+        assert_ne!(step(true, 0.1), step(false, 0.1));
     }
 
     #[test]

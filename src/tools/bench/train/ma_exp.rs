@@ -8,7 +8,7 @@ use sortie_cli::methods;
 use sortie_envs::random::{below, unit};
 use sortie_learn::random::{Purpose, generator};
 use sortie_methods::ma_exp::MA_EXP;
-use sortie_methods::ma_exp::networks::{Batch, Config, HeadBatch, HeadLearner};
+use sortie_methods::ma_exp::networks::{ActorCritic, Batch, Config};
 use sortie_nn::layers::products::Products;
 use sortie_nn::random::Generator;
 
@@ -23,8 +23,8 @@ const SET: &str = "task1-2";
 /// Networks, and what they learn from.
 struct MaExpRound {
     config: Config,
-    learner: HeadLearner,
-    batch: HeadBatch,
+    learner: ActorCritic,
+    batch: Batch,
     random: Generator,
     /// With which instructions products are computed.
     products: Products,
@@ -65,45 +65,44 @@ impl Round for MaExpRound {
     }
 
     fn update(&mut self) {
-        self.learner.update(&self.batch, &mut self.random);
+        self.learner.update(&mut self.batch, self.config.returns.entropy, &mut self.random);
     }
 
     fn write(&mut self, path: &Path) -> Result<Expected, Failure> {
         let mut tensors = Tensors::default();
         let Self { config, learner, batch, random, .. } = self;
-        let (critic, policies) = (&learner.critic.parameters, &learner.policies.parameters);
-        tensors.parameters("critic", critic, &critic.values);
-        tensors.parameters("policies", policies, &policies.values);
-        let records = &batch.records;
+        tensors.weights(learner);
         let mut floats = |name: String, values: &[f32]| {
-            let columns = values.len() / records.records;
-            let shape = [records.records, columns];
+            let columns = values.len() / batch.records;
+            let shape = [batch.records, columns];
             tensors.floats(name, if columns == 1 { &shape[..1] } else { &shape }, values);
         };
         for (kind, all) in
-            [("observations", &records.observations), ("next", &records.next), ("own", &batch.own)]
+            [("observations", &batch.observations), ("next", &batch.next), ("own", &batch.paid)]
         {
             for (index, values) in all.iter().enumerate() {
                 floats(format!("{kind}.{index}"), values);
             }
         }
+        let goes_on: Vec<f32> = batch.discounts[0]
+            .iter()
+            .map(|discount| f32::from(u8::from(*discount > 0.0)))
+            .collect();
         for (kind, values) in [
             ("states", &batch.states[0]),
             ("next_states", &batch.states[1]),
-            ("rewards", &records.rewards[0]),
-            ("goes_on", &records.discounts[0]),
+            ("rewards", &batch.rewards[0]),
+            ("goes_on", &goes_on),
         ] {
             floats(kind.to_string(), values);
         }
-        tensors.actions("actions", &records.actions);
+        tensors.actions("actions", &batch.actions);
         let mut kept = Kept { random, drawn: Vec::new() };
-        let report = learner.update(batch, &mut kept);
+        let report = learner.update(batch, config.returns.entropy, &mut kept);
         for (kind, drawn) in ["drawn_next", "drawn"].iter().zip(&kept.drawn) {
             tensors.actions(kind, drawn);
         }
-        tensors.parameters("gradient.critic", &learner.critic.parameters, &learner.critic_gradient);
-        let (policies, gradient) = (&learner.policies.parameters, &learner.policy_gradient);
-        tensors.parameters("gradient.policies", policies, gradient);
+        tensors.gradients(learner);
         tensors
             .write(settings(config, learner), path)
             .map_err(|error| Failure::new(Exit::Bug, format!("{}: {error}", path.display())))?;
@@ -115,7 +114,7 @@ impl Round for MaExpRound {
     fn operations(&self) -> f64 {
         let Self { config, learner, batch, .. } = self;
         let (network, heads) = (&config.network, config.heads().len());
-        let records = batch.records.records;
+        let records = batch.records;
         let agents = learner.groups.0.len();
         let mut passes = 4 * batch.states[0].len() / records * network.critic_width;
         for group in &learner.groups.0 {
@@ -133,18 +132,20 @@ impl Round for MaExpRound {
 }
 
 /// Records of agents that saw noise, did anything and earned noise; one in fifty ended an episode.
-fn batch(learner: &HeadLearner, config: &Config, random: &mut Generator) -> HeadBatch {
+fn batch(learner: &ActorCritic, config: &Config, random: &mut Generator) -> Batch {
     let records = config.replay.batch;
     let groups = &learner.groups;
     let noise = |columns: usize, random: &mut Generator| -> Vec<f32> {
         (0..records * columns).map(|_| 2.0 * unit(random) as f32 - 1.0).collect()
     };
-    let state = learner.critic.state();
+    let encoder = &learner.critic_learner.online.tensors()[0];
+    let state = encoder.shape[1];
     let states = [state, state].map(|columns| noise(columns, random));
     let pairs = 0..groups.0.len() * learner.policies.heads();
-    let own = pairs.map(|_| noise(1, random)).collect();
-    let goes_on: Vec<f32> =
-        (0..records).map(|_| if below(random, 50) == 0 { 0.0 } else { 1.0 }).collect();
+    let paid = pairs.map(|_| noise(1, random)).collect();
+    let discount = config.returns.discount;
+    let discounts: Vec<f32> =
+        (0..records).map(|_| if below(random, 50) == 0 { 0.0 } else { discount }).collect();
     let rewards = noise(1, random);
     let mut seen = || groups.0.iter().map(|group| noise(group.inputs(), random)).collect();
     let [observations, next] = [seen(), seen()];
@@ -152,19 +153,20 @@ fn batch(learner: &HeadLearner, config: &Config, random: &mut Generator) -> Head
         .0
         .iter()
         .map(|group| (0..records).map(|_| below(random, group.actions) as u32).collect());
-    let records = Batch {
+    Batch {
         records,
         observations,
         actions: did.collect(),
         rewards: vec![rewards; groups.0.len()],
-        discounts: vec![goes_on; groups.0.len()],
+        discounts: vec![discounts; groups.0.len()],
         next,
         follows: Vec::new(),
-    };
-    HeadBatch { records, states, own }
+        states,
+        paid,
+    }
 }
 
-fn settings(config: &Config, learner: &HeadLearner) -> HashMap<String, String> {
+fn settings(config: &Config, learner: &ActorCritic) -> HashMap<String, String> {
     let (optimiser, returns) = (&config.optimiser, &config.returns);
     let of = |(name, number): (&str, f64)| (name.to_string(), number.to_string());
     let settings = [

@@ -7,7 +7,7 @@ use sortie_cli::failure::{Exit, Failure};
 use sortie_cli::methods;
 use sortie_envs::random::{below, unit};
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::maac::{Batch, Config, Group, Groups, Learner, MAAC};
+use sortie_methods::maac::{ActorCritic, Batch, Config, Group, Groups, MAAC};
 use sortie_nn::layers::products::Products;
 use sortie_nn::random::Generator;
 
@@ -23,7 +23,7 @@ const SET: &str = "treasure-8";
 struct MaacRound {
     config: Config,
     groups: Groups,
-    learner: Learner,
+    learner: ActorCritic,
     batch: Batch,
     random: Generator,
     /// With which instructions products are computed.
@@ -50,7 +50,7 @@ impl MaacRound {
         let mut random = generator(seed, Purpose::Replay, 0);
         let batch = batch(&groups, &config, &mut random);
         let mut weights = generator(seed, Purpose::Weights, 0);
-        let learner = Learner::new(config.clone(), groups.clone(), 1, &mut weights);
+        let learner = config.learner(groups.clone(), 1, &mut weights);
         Ok(Self { config, groups, learner, batch, random, products })
     }
 }
@@ -70,9 +70,7 @@ impl Round for MaacRound {
     fn write(&mut self, path: &Path) -> Result<Expected, Failure> {
         let mut tensors = Tensors::default();
         let Self { config, groups, learner, batch, random, .. } = self;
-        let (critic, policies) = (&learner.critic.parameters, &learner.policies.parameters);
-        tensors.parameters("critic", critic, &critic.values);
-        tensors.parameters("policies", policies, &policies.values);
+        tensors.weights(learner);
         for (index, group) in groups.0.iter().enumerate() {
             let rows = batch.records;
             let mut floats = |kind: &str, columns: &[usize], values: &[f32]| {
@@ -90,9 +88,7 @@ impl Round for MaacRound {
         for (kind, drawn) in ["drawn_next", "drawn"].iter().zip(&kept.drawn) {
             tensors.actions(kind, drawn);
         }
-        tensors.parameters("gradient.critic", &learner.critic.parameters, &learner.critic_gradient);
-        let (policies, gradient) = (&learner.policies.parameters, &learner.policy_gradient);
-        tensors.parameters("gradient.policies", policies, gradient);
+        tensors.gradients(learner);
         tensors
             .write(settings(config, groups), path)
             .map_err(|error| Failure::new(Exit::Bug, format!("{}: {error}", path.display())))?;
@@ -107,21 +103,19 @@ impl Round for MaacRound {
 /// Records of agents that saw noise, did anything and earned noise; one in fifty ended an episode.
 fn batch(groups: &Groups, config: &Config, random: &mut Generator) -> Batch {
     let records = config.replay.batch;
-    let mut batch = Batch::default();
-    batch.clear(groups);
-    batch.records = records;
-    for (index, group) in groups.0.iter().enumerate() {
+    let mut batch = Batch { records, ..Batch::default() };
+    for group in &groups.0 {
         let mut noise = |count: usize| -> Vec<f32> {
             (0..count).map(|_| 2.0 * unit(random) as f32 - 1.0).collect()
         };
-        batch.observations[index] = noise(records * group.inputs());
-        batch.next[index] = noise(records * group.inputs());
-        batch.rewards[index] = noise(records);
+        batch.observations.push(noise(records * group.inputs()));
+        batch.next.push(noise(records * group.inputs()));
+        batch.rewards.push(noise(records));
         let actions = (0..records).map(|_| below(random, group.actions) as u32);
-        batch.actions[index] = actions.collect();
+        batch.actions.push(actions.collect());
         let goes_on = (0..records).map(|_| if below(random, 50) == 0 { 0.0 } else { 1.0 });
         let discounts = goes_on.map(|goes_on| config.returns.discount * goes_on);
-        batch.discounts[index] = discounts.collect();
+        batch.discounts.push(discounts.collect());
     }
     batch
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use serde::Deserialize;
 use sortie_cli::failure::Failure;
-use sortie_methods::maac::{Draw, Groups, Rows};
+use sortie_methods::maac::{ActorCritic, Draw, Groups, Rows};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::Parameters;
 
@@ -137,10 +137,29 @@ fn start<R: Round>(
 }
 
 impl Tensors {
-    pub(super) fn parameters(&mut self, of: &str, parameters: &Parameters, values: &[f32]) {
+    fn parameters(&mut self, of: &str, parameters: &Parameters, values: &[f32]) {
         for tensor in parameters.tensors() {
             let name = format!("{of}.{}", tensor.name);
             self.floats(name, &tensor.shape, &values[tensor.range.clone()]);
+        }
+    }
+
+    /// The weights of critic and policies.
+    pub(super) fn weights(&mut self, learner: &ActorCritic) {
+        for (name, learner) in
+            [("critic", &learner.critic_learner), ("policies", &learner.policy_learner)]
+        {
+            self.parameters(name, &learner.online, &learner.online.values);
+        }
+    }
+
+    /// Their gradients of the last update.
+    pub(super) fn gradients(&mut self, learner: &ActorCritic) {
+        for (name, learner) in [
+            ("gradient.critic", &learner.critic_learner),
+            ("gradient.policies", &learner.policy_learner),
+        ] {
+            self.parameters(name, &learner.online, learner.gradient());
         }
     }
 

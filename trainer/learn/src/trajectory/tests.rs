@@ -166,6 +166,38 @@ fn different_episodes_are_drawn_each_as_often() {
 }
 
 #[test]
+fn the_latest_episodes_come_in_the_order_in_which_they_ended() {
+    let (world, mut replay) = (World::new(), Trajectories::new(Capacity::Episodes(4), 2, WIDTHS));
+    for (episode, instance) in [1, 0, 0, 1, 0].into_iter().enumerate() {
+        world.push(&mut replay, instance, [10 * episode, 0], End::Over);
+    }
+    let firsts = |count| -> Vec<u8> {
+        replay.latest(count).map(|episode| replay.state(episode.first)[0]).collect()
+    };
+    assert_eq!((firsts(2), firsts(9)), (vec![30, 40], vec![10, 20, 30, 40]));
+}
+
+/// Whether states or whole episodes are kept: states in which nothing was done earned nothing.
+#[test]
+fn rewards_are_in_deviations_of_what_is_kept() {
+    let world = World::new();
+    for (capacity, kept) in [(Capacity::States(8), 3..9), (Capacity::Episodes(2), 3..9)] {
+        let mut replay = Trajectories::new(capacity, 1, WIDTHS);
+        for state in 0..9 {
+            let end = [End::Open, End::Open, End::Over][state % 3];
+            world.push(&mut replay, 0, [state, state + 1], end);
+        }
+        let earned: Vec<f32> = kept.map(|state| state as f32 + 0.5).collect();
+        let mean = earned.iter().sum::<f32>() / 6.0;
+        let deviation = (35.0_f32 / 12.0).sqrt();
+        let found = replay.in_deviations(1, 7.5);
+        assert!((found - (7.5 - mean) / deviation).abs() < 1e-6, "{capacity:?} {found}");
+        // Of who always earns the same, nothing is learned.
+        assert_eq!(replay.in_deviations(0, 0.0), 0.0);
+    }
+}
+
+#[test]
 fn a_checkpoint_brings_back_what_goes_on_as_before() {
     let (world, mut replay) = (World::new(), three());
     let mut written = crate::run::checkpoint::Written::default();

@@ -1,5 +1,4 @@
-//! Who shares networks and where an agent's rows stand; how rows are normalised, what critics are shown and say, whatever
-//! their layers, and how actions are drawn by their scores.
+//! Who shares networks and where an agent's rows stand; how rows are normalised, and how actions are drawn by their scores.
 
 use std::ops::Range;
 
@@ -36,14 +35,22 @@ impl Group {
         columns: usize,
         records: &Range<usize>,
     ) -> &'a [f32] {
-        let of_record = columns * self.agents.len();
-        &numbers[records.start * of_record..records.end * of_record]
+        let rows = self.range(records);
+        &numbers[rows.start * columns..rows.end * columns]
+    }
+
+    /// Its rows of some records.
+    pub(crate) fn range(&self, records: &Range<usize>) -> Range<usize> {
+        records.start * self.agents.len()..records.end * self.agents.len()
     }
 
     /// Record and agent of each of its rows.
-    pub(crate) fn order(&self, records: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
+    pub(crate) fn order(
+        &self,
+        records: Range<usize>,
+    ) -> impl Iterator<Item = (usize, usize)> + use<> {
         let agents = self.agents.clone();
-        (0..records).flat_map(move |record| agents.clone().map(move |agent| (record, agent)))
+        records.flat_map(move |record| agents.clone().map(move |agent| (record, agent)))
     }
 
     /// Where its rows stand among those of all groups, of so many records.
@@ -59,10 +66,24 @@ impl Group {
         }
         taken
     }
+
+    /// Mean and variance of the columns of all these ones.
+    pub(crate) fn moments(&self, actions: &[u32]) -> Moments {
+        let (mut means, share) = (vec![0.0; self.actions], 1.0 / actions.len() as f64);
+        actions.iter().for_each(|action| means[*action as usize] += share);
+        let variances = means.iter().map(|mean| mean * (1.0 - mean)).collect();
+        Moments { means, variances }
+    }
 }
 
 /// Numbers by groups, a row for each agent of each record.
 pub type Rows = Vec<Vec<f32>>;
+
+/// Makes lists empty, so many of them, and keeps their memory.
+pub(crate) fn emptied<T>(lists: &mut Vec<Vec<T>>, count: usize) {
+    lists.resize_with(count, Vec::new);
+    lists.iter_mut().for_each(Vec::clear);
+}
 
 /// All agents, in their order.
 ///
@@ -101,7 +122,7 @@ impl Groups {
     /// For every row of so many records the rows of the other agents of its record, by their index.
     pub fn others(&self, records: usize) -> VisibleLists {
         let mut others = VisibleLists::default();
-        for (record, agent) in self.0.iter().flat_map(|group| group.order(records)) {
+        for (record, agent) in self.0.iter().flat_map(|group| group.order(0..records)) {
             let rows = (0..self.agents()).filter(|other| *other != agent);
             rows.for_each(|other| others.push(self.row(records, record, other)));
             others.end_list();
@@ -111,7 +132,7 @@ impl Groups {
 
     /// For every row of so many records its record.
     pub fn records(&self, records: usize) -> Vec<u32> {
-        let rows = self.0.iter().flat_map(|group| group.order(records));
+        let rows = self.0.iter().flat_map(|group| group.order(0..records));
         rows.map(|(record, _)| record as u32).collect()
     }
 
@@ -124,37 +145,6 @@ impl Groups {
 
 /// Slope of leaky ReLU below zero.
 pub(crate) const SLOPE: f32 = 0.01;
-
-/// What was done, as a critic is shown it, by groups.
-#[derive(Debug, Default)]
-pub struct Encoded {
-    /// `[rows, columns]`
-    pub(crate) taken: Rows,
-    /// `[rows, actions]`: the own action, which only some critics see.
-    pub(crate) own: Rows,
-}
-
-/// What a critic is shown, by groups: rows of records.
-#[derive(Clone, Copy, Debug)]
-pub struct Shown<'a> {
-    /// `[rows, inputs]`
-    pub observations: &'a Rows,
-    /// What was done.
-    pub encoded: &'a Encoded,
-}
-
-/// What a critic says.
-#[derive(Debug)]
-pub struct Values {
-    /// By groups, `[rows, actions]`: the value of each own action, or `[rows, 1]` of the one that it sees.
-    pub of_actions: Vec<Var>,
-    /// `[rows, width]`: what attention makes of the others, where it is learned.
-    pub attended: Option<Var>,
-    /// `[rows, 1]`: the squared scores of attention, where it is learned.
-    pub squared_scores: Option<Var>,
-    /// By groups, `[rows, actions]`: the leaves of own actions that it sees.
-    pub own: Vec<Var>,
-}
 
 /// A layer with leaky ReLU behind it.
 pub(crate) fn leaky(pass: &mut Pass<'_>, x: Var, layer: Linear) -> Var {

@@ -1,14 +1,6 @@
-//! What the policies lose by what the critic values (dissertation section 3.3), and steps down a gradient: as Adam takes
-//! them today, and as it did when the dissertation was written.
+//! What the policies lose by what the critic values (dissertation section 3.3).
 
-use std::ops::Range;
-
-use sortie_nn::optimise::Adam;
-use sortie_nn::tape::{Chunks, Pass, Var};
-
-use super::acting::Policies;
-use super::batch::Batch;
-use super::groups::Groups;
+use sortie_nn::tape::{Pass, Var};
 
 /// What a state is worth to an agent that draws its action: `sum of p (Q - entropy log p)`.
 pub(crate) fn soft_value(values: &[f32], logarithms: &[f32], entropy: f32) -> f32 {
@@ -78,89 +70,6 @@ pub(crate) fn added(pass: &mut Pass<'_>, loss: Option<Var>, part: Var) -> Var {
     }
 }
 
-/// Policies, and how their gradient is computed.
-pub(crate) struct Following<'a> {
-    pub(crate) policies: &'a Policies,
-    pub(crate) groups: &'a Groups,
-    /// What the mean squared score of an action counts.
-    pub(crate) score_penalty: f32,
-    pub(crate) threads: usize,
-    pub(crate) chunks: &'a mut Chunks,
-}
-
-impl Following<'_> {
-    /// Writes the gradient of the mean, over records, of what `loss` says of the scores of each group and head, by their
-    /// number, in some of the group's rows.
-    pub(crate) fn gradient(
-        self,
-        batch: &Batch,
-        gradient: &mut Vec<f32>,
-        loss: impl Fn(&mut Pass<'_>, usize, Var, Range<usize>) -> Var + Sync,
-    ) {
-        let Self { policies, groups, score_penalty, threads, chunks } = self;
-        let share = 1.0 / batch.records as f32;
-        let weights = &policies.parameters.values;
-        gradient.clear();
-        gradient.resize(weights.len(), 0.0);
-        chunks.gradient(threads, weights, batch.records, gradient, |pass, range| {
-            let all = policies.scores(pass, groups, &batch.observations, range.clone());
-            let mut whole = None;
-            for (index, scores) in all.into_iter().enumerate() {
-                let group = &groups.0[index / policies.heads()];
-                let rows = range.start * group.agents.len()..range.end * group.agents.len();
-                let gain = loss(pass, index, scores, rows);
-                let gain = pass.scale(gain, share);
-                whole = Some(added(pass, whole, gain));
-                let squares = pass.multiply(scores, scores);
-                let squares = sum(pass, squares);
-                let penalty = score_penalty * share / group.actions as f32;
-                let squares = pass.scale(squares, penalty);
-                whole = Some(added(pass, whole, squares));
-            }
-            whole.expect("there are agents")
-        });
-    }
-}
-
-/// What counts as zero where weights decay: those of units that serve nobody would shrink to denormal numbers, which
-/// processors multiply a hundred times as slowly.
-const NOTHING: f32 = 1e-20;
-
-/// How weights move.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Step {
-    /// Step size.
-    pub(crate) rate: f32,
-    /// What a weight adds to its gradient.
-    pub(crate) decay: f32,
-    /// Added to the denominator.
-    pub(crate) epsilon: f32,
-    /// Whether that is added before the correction of first steps, as PyTorch did until version 1.2.
-    pub(crate) early_epsilon: bool,
-}
-
-impl Step {
-    pub(crate) fn take(self, adam: &mut Adam, weights: &mut [f32], gradient: &[f32]) {
-        if self.early_epsilon {
-            // Before the correction: what is added is corrected as well.
-            let correction = 1.0 - 0.999_f64.powf((adam.steps + 1) as f64);
-            adam.epsilon = (f64::from(self.epsilon) / correction.sqrt()) as f32;
-        }
-        if self.decay == 0.0 {
-            adam.step(&mut [weights], gradient, self.rate);
-            return;
-        }
-        let slopes = gradient.iter().zip(&*weights);
-        let decayed: Vec<f32> = slopes.map(|(slope, weight)| slope + self.decay * weight).collect();
-        adam.step(&mut [&mut *weights], &decayed, self.rate);
-        for number in weights.iter_mut().chain(&mut adam.mean) {
-            if number.abs() < NOTHING {
-                *number = 0.0;
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use sortie_nn::layers::softmax;
@@ -218,20 +127,5 @@ mod tests {
             let want = (at(&above) - at(&below)) / 2e-2;
             assert!((found - want).abs() < 1e-3, "{found} {want}");
         }
-    }
-
-    #[test]
-    fn weights_that_only_decay_end_at_zero_and_never_as_denormal_numbers() {
-        let step = Step { rate: 1e-3, decay: 1e-3, epsilon: 1e-8, early_epsilon: true };
-        let (mut adam, mut weights) = (Adam::new(2, 1e-8), [0.3, 0.3]);
-        for time in 0..40_000 {
-            // The first is of a unit that served somebody once, the second of one that still does.
-            let once = if time < 10 { 1.0 } else { 0.0 };
-            step.take(&mut adam, &mut weights, &[once, 1.0 - 2.0 * (time % 2) as f32]);
-            let small = |number: &f32| *number != 0.0 && number.abs() < NOTHING;
-            assert!(!weights.iter().chain(&adam.mean).any(small), "{time}: {weights:?} {adam:?}");
-        }
-        assert_eq!((weights[0], adam.mean[0]), (0.0, 0.0));
-        assert!(weights[1] != 0.0);
     }
 }

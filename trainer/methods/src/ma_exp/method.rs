@@ -12,7 +12,7 @@ use super::Config;
 use super::deployed::deployed;
 use super::learner::{Deed, Learner, Rules};
 use super::table::{ACTIONS, Row, Version};
-use crate::novelty::{Columns, Intrinsic, Place};
+use crate::novelty::{Columns, Discounted, Intrinsic, Place, drawn, shares};
 
 /// Noise by which equal actions are told apart.
 const TIES: f32 = 1e-3;
@@ -43,9 +43,7 @@ struct Running {
     rows: Vec<u32>,
     /// `[steps, agents]`: rows that were acted in since the last were backed up.
     trail: Vec<u32>,
-    discounted: f64,
-    /// What a reward of the next step counts.
-    discount: f64,
+    discounted: Discounted,
     episode_return: f64,
     /// Number of the frozen policy that is tried out; 0 where none is.
     audition: u32,
@@ -115,7 +113,7 @@ impl Method for MaExp {
         } else {
             self.selector.choose(heads.any, heads.temperature, random)
         };
-        (running.discounted, running.discount, running.episode_return) = (0.0, 1.0, 0.0);
+        (running.discounted, running.episode_return) = (Discounted::default(), 0.0);
         running.audition = 0;
         let audition = &self.config.audition;
         if self.exploits && instance < audition.instances {
@@ -176,10 +174,9 @@ impl Method for MaExp {
             trail.clear();
         }
         running.episode_return += step.reward;
-        running.discounted += running.discount * step.reward;
-        running.discount *= f64::from(config.values.discount);
+        running.discounted.add(step.reward, config.values.discount);
         if step.done() {
-            selector.add(running.head, running.discounted);
+            selector.add(running.head, running.discounted.sum);
             learner.audition.add(running.audition, running.episode_return);
         }
         Ok(())
@@ -291,15 +288,7 @@ impl Selector {
         if chance(random, any) {
             return below(random, self.means.len());
         }
-        let means = || self.means.iter().flatten();
-        let best = means().copied().fold(f64::NEG_INFINITY, f64::max);
-        let shares: Vec<f64> = means().map(|mean| ((mean - best) / temperature).exp()).collect();
-        let mut left = unit(random) * shares.iter().sum::<f64>();
-        let drawn = shares.iter().position(|share| {
-            left -= share;
-            left < 0.0
-        });
-        drawn.unwrap_or(self.means.len() - 1)
+        drawn(&shares(self.means.iter().flatten().copied(), temperature), random)
     }
 }
 

@@ -3,22 +3,19 @@
 use sortie_learn::Thought;
 use sortie_nn::tape::Tape;
 
-use super::critic::Critic;
-use super::learner::Learner;
 use crate::actor_critic::acting::Acting;
-use crate::actor_critic::groups::{Encoded, Group, Groups, Rows};
+use crate::actor_critic::critic::Shown;
+use crate::actor_critic::groups::{Group, Rows};
+use crate::actor_critic::learner::ActorCritic;
 
 /// `[scenes, A]`: what agents that have looked at scenes think, where these are their actions.
 ///
 /// Nobody's attention is told where inputs are normalised over batches: a scene alone is none.
-pub(super) fn thoughts(learner: &Learner, acting: &Acting, actions: &[u16]) -> Vec<Thought> {
+pub(super) fn thoughts(learner: &ActorCritic, acting: &Acting, actions: &[u16]) -> Vec<Thought> {
     let groups = &learner.groups;
     let scenes = actions.len() / groups.agents();
-    let looks = if learner.config.network.normalised {
-        Vec::new()
-    } else {
-        looks(&learner.critic, groups, &acting.shown, actions)
-    };
+    let is_told = learner.running.is_none();
+    let looks = if is_told { looks(learner, &acting.shown, actions) } else { Vec::new() };
     let mut thoughts = vec![Thought::default(); actions.len()];
     let mut looks = looks.into_iter();
     for (group, scores) in groups.0.iter().zip(&acting.scores) {
@@ -36,7 +33,8 @@ pub(super) fn thoughts(learner: &Learner, acting: &Acting, actions: &[u16]) -> V
 }
 
 /// For every row of some scenes the weights of all others, by heads; none where all count the same.
-fn looks(critic: &Critic, groups: &Groups, shown: &Rows, actions: &[u16]) -> Vec<Vec<Vec<f32>>> {
+fn looks(learner: &ActorCritic, observations: &Rows, actions: &[u16]) -> Vec<Vec<Vec<f32>>> {
+    let ActorCritic { critic, groups, critic_learner, .. } = learner;
     let agents = groups.agents();
     let scenes = actions.len() / agents;
     let of_group = |group: &Group| {
@@ -44,10 +42,17 @@ fn looks(critic: &Critic, groups: &Groups, shown: &Rows, actions: &[u16]) -> Vec
         rows.map(|action| u32::from(*action)).collect()
     };
     let actions: Vec<Vec<u32>> = groups.0.iter().map(of_group).collect();
-    let mut encoded = Encoded::default();
-    let shown = critic.encode(groups, shown, [&actions; 2], false, &mut encoded);
+    let own = &Rows::new();
+    let shown = Shown {
+        observations,
+        states: &[],
+        actions: &actions,
+        normalised: false,
+        own,
+        learns: false,
+    };
     let mut tape = Tape::default();
-    let mut pass = tape.begin(&critic.parameters.values);
+    let mut pass = tape.begin(&critic_learner.online.values);
     let values = critic.values(&mut pass, groups, shown, 0..scenes);
     let weights = values.attended.and_then(|attended| pass.attention_weights(attended));
     let Some(weights) = weights.filter(|weights| !weights.is_empty()) else { return Vec::new() };
@@ -61,18 +66,18 @@ fn looks(critic: &Critic, groups: &Groups, shown: &Rows, actions: &[u16]) -> Vec
 mod tests {
     use sortie_envs::random::generator;
     use sortie_envs::{EntitySet, Environment, Observation, Split};
-    use sortie_learn::Scene;
+    use sortie_learn::{Scene, Scenes};
     use sortie_nn::random::stream;
 
     use super::*;
-    use crate::actor_critic::acting::Actors;
-    use crate::actor_critic::groups::SLOPE;
+    use crate::actor_critic::groups::{Groups, SLOPE};
     use crate::maac::{Config, CriticKind};
 
     /// Two rovers and two towers in two scenes.
     struct Fixture {
         world: Box<dyn Environment>,
-        learner: Learner,
+        config: Config,
+        learner: ActorCritic,
         states: [Vec<u8>; 2],
     }
 
@@ -91,24 +96,17 @@ mod tests {
             });
             let network = &config.network;
             let groups = Groups::new(world.spec(), network.shared, network.identity);
-            let learner = Learner::new(config, groups, 1, &mut stream(1, 1, 0));
-            Self { world, learner, states }
+            let learner = config.learner(groups, 1, &mut stream(1, 1, 0));
+            Self { world, config, learner, states }
         }
 
         fn thoughts(&self) -> Vec<Thought> {
             let learner = &self.learner;
-            let actors = Actors {
-                groups: &learner.groups,
-                inputs: learner.config.inputs(),
-                policies: &learner.policies,
-                head: 0,
-                weights: &learner.policies.parameters.values,
-                running: &learner.running,
-            };
+            let actors = self.config.actors(learner, &learner.policy_learner.online.values);
             let scene = |state| Scene { instance: 0, state, begins: true, tasks_changed: false };
             let scenes: Vec<Scene<'_>> = self.states.iter().map(|state| scene(state)).collect();
             let mut acting = Acting::default();
-            acting.look(actors, &*self.world, scenes.iter());
+            acting.look(actors, &Scenes { environment: &*self.world, scenes: &scenes });
             thoughts(learner, &acting, &ACTIONS)
         }
 
@@ -118,14 +116,14 @@ mod tests {
             self.world.observe(&self.states[scene], 0, EntitySet::MAX, &mut seen);
             let mut row = vec![0.0; self.world.spec().features_of(agent).len()];
             seen.rows.write_dense(agent, &mut row);
-            row.iter_mut().for_each(|number| *number *= self.learner.config.network.input_scale);
+            row.iter_mut().for_each(|number| *number *= self.config.network.input_scale);
             row.extend((0..2).map(|place| f32::from(u8::from(place == agent % 2))));
             row
         }
 
         /// A layer of the critic by its name, with a leaky ReLU if it has offsets.
         fn layer(&self, name: &str, x: &[f32]) -> Vec<f32> {
-            let parameters = &self.learner.critic.parameters;
+            let parameters = &self.learner.critic_learner.online;
             let tensor = |part: &str| {
                 let name = format!("{name}{part}");
                 let tensor = parameters.tensors().iter().find(|tensor| tensor.name == name);

@@ -5,27 +5,28 @@
 
 use std::ops::Range;
 
-use sortie_nn::layers::normalise;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::joint::Joint;
 use super::{CriticKind, CriticShape};
-use crate::actor_critic::groups::{Encoded, Group, Groups, Rows, Shown, Values, leaky};
+use crate::actor_critic::critic::{Critic, Shown, Values};
+use crate::actor_critic::groups::{Groups, leaky};
 
-/// A critic's layers and weights.
-#[derive(Clone, Debug)]
-pub struct Critic {
-    /// The weights of all groups; those that the values of others depend on come [first](Self::shared).
-    pub parameters: Parameters,
-    layers: Layers,
-    shared: usize,
-}
-
-#[derive(Clone, Debug)]
-enum Layers {
-    Attentive(Attentive),
-    Joint(Joint),
+/// Draws the first weights of a critic.
+pub(super) fn critic(
+    shape: CriticShape,
+    groups: &Groups,
+    random: &mut Generator,
+) -> (Box<dyn Critic>, Parameters) {
+    let mut parameters = Parameters::default();
+    let critic: Box<dyn Critic> = match shape.kind {
+        CriticKind::Attention | CriticKind::Uniform => {
+            Box::new(Attentive::new(shape, groups, &mut parameters, random))
+        }
+        _ => Box::new(Joint::new(shape, groups, &mut parameters, random)),
+    };
+    (critic, parameters)
 }
 
 /// The layers of a critic that looks at the others.
@@ -36,6 +37,8 @@ struct Attentive {
     /// Queries and keys; none where all others count the same, MAAC (Uniform).
     looks: Option<[Linear; 2]>,
     value: Linear,
+    /// Weights that the values of all agents depend on, those of the others' encodings, which stand first.
+    shared: [usize; 2],
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -48,90 +51,13 @@ struct GroupLayers {
     head: Linear,
 }
 
-impl Critic {
-    /// Draws the first weights.
-    pub fn new(shape: CriticShape, groups: &Groups, random: &mut Generator) -> Self {
-        let mut parameters = Parameters::default();
-        let (layers, shared) = match shape.kind {
-            CriticKind::Attention | CriticKind::Uniform => {
-                let (layers, shared) = Attentive::new(shape, groups, &mut parameters, random);
-                (Layers::Attentive(layers), shared)
-            }
-            _ => (Layers::Joint(Joint::new(shape, groups, &mut parameters, random)), 0),
-        };
-        Self { parameters, layers, shared }
-    }
-
-    /// Where the weights stand whose gradients come from the values of all agents.
-    pub fn shared(&self) -> Range<usize> {
-        0..self.shared
-    }
-
-    /// Encodes what the others did, and what each agent did itself, which may be normalised over the batch.
-    pub fn encode<'a>(
-        &self,
-        groups: &Groups,
-        observations: &'a Rows,
-        [others, own]: [&Vec<Vec<u32>>; 2],
-        normalised: bool,
-        encoded: &'a mut Encoded,
-    ) -> Shown<'a> {
-        let one_hot = |actions: &[Vec<u32>]| -> Rows {
-            groups.0.iter().zip(actions).map(|(group, taken)| group.one_hot(taken)).collect()
-        };
-        encoded.own = one_hot(own);
-        let Encoded { taken, .. } = encoded;
-        taken.resize_with(groups.0.len(), Vec::new);
-        match &self.layers {
-            Layers::Attentive(_) => {
-                encode(groups, observations, one_hot(others), normalised, taken);
-            }
-            Layers::Joint(joint) => joint.encode(groups, &one_hot(others), taken),
-        }
-        Shown { observations, encoded }
-    }
-
-    /// The values of some records.
-    pub fn values(
-        &self,
-        pass: &mut Pass<'_>,
-        groups: &Groups,
-        shown: Shown<'_>,
-        records: Range<usize>,
-    ) -> Values {
-        match &self.layers {
-            Layers::Attentive(layers) => layers.values(pass, groups, shown, records),
-            Layers::Joint(layers) => layers.values(pass, groups, shown, records),
-        }
-    }
-}
-
-/// Writes the actions behind the observations, `[rows, inputs + actions]`, and normalises these columns if the others
-/// are.
-fn encode(groups: &Groups, observations: &Rows, taken: Rows, normalised: bool, encoded: &mut Rows) {
-    for (((group, encoded), observations), mut taken) in
-        groups.0.iter().zip(encoded).zip(observations).zip(taken)
-    {
-        if normalised {
-            normalise::batch(group.actions, &mut taken);
-        }
-        encoded.clear();
-        let rows = observations.chunks_exact(group.inputs());
-        for (observation, taken) in rows.zip(taken.chunks_exact(group.actions)) {
-            encoded.extend_from_slice(observation);
-            encoded.extend_from_slice(taken);
-        }
-    }
-}
-
 impl Attentive {
-    /// Its layers, and how many weights there are that the values of all depend on.
     fn new(
         shape: CriticShape,
         groups: &Groups,
         p: &mut Parameters,
         random: &mut Generator,
-    ) -> (Self, usize) {
+    ) -> Self {
         let CriticShape { width, heads, .. } = shape;
         let named = |kind: &str, group: usize| format!("{kind}.{group}");
         let sized = || groups.0.iter().enumerate();
@@ -144,7 +70,7 @@ impl Attentive {
         let looks = (shape.kind == CriticKind::Attention)
             .then(|| ["query", "key"].map(|name| p.projection(name, width, width, random)));
         let value = p.linear("value", width, width, random);
-        let shared = p.values.len();
+        let shared = [p.values.len(), groups.agents()];
         let layers = sized().zip(action_encoders).map(|((index, group), action_encoder)| {
             let mut linear =
                 |kind: &str, input, output| p.linear(&named(kind, index), input, output, random);
@@ -155,7 +81,13 @@ impl Attentive {
                 head: linear("head", width, group.actions),
             }
         });
-        (Self { heads, groups: layers.collect(), looks, value }, shared)
+        Self { heads, groups: layers.collect(), looks, value, shared }
+    }
+}
+
+impl Critic for Attentive {
+    fn shared(&self) -> [usize; 2] {
+        self.shared
     }
 
     fn values(
@@ -165,20 +97,20 @@ impl Attentive {
         shown: Shown<'_>,
         records: Range<usize>,
     ) -> Values {
-        let encode = |pass: &mut Pass<'_>, group: &Group, numbers: &[f32], layer: Linear| {
-            let row = layer.shape.input;
-            let x = pass.input(row, group.rows(numbers, row, &records));
-            leaky(pass, x, layer)
-        };
-        let layers = || self.groups.iter().zip(&groups.0);
-        let encoded: Vec<Var> = layers()
-            .zip(&shown.encoded.taken)
-            .map(|((of, group), numbers)| encode(pass, group, numbers, of.action_encoder))
-            .collect();
-        let states: Vec<Var> = layers()
-            .zip(shown.observations)
-            .map(|((of, group), numbers)| encode(pass, group, numbers, of.state_encoder))
-            .collect();
+        let (mut encoded, mut states) = (Vec::new(), Vec::new());
+        for (index, (layers, group)) in self.groups.iter().zip(&groups.0).enumerate() {
+            let seen = &shown.observations[index];
+            let seen = pass.input(group.inputs(), group.rows(seen, group.inputs(), &records));
+            let actions = &shown.actions[index];
+            let mut taken = group.one_hot(&actions[group.range(&records)]);
+            if shown.normalised {
+                group.moments(actions).normalise(&mut taken);
+            }
+            let taken = pass.input(group.actions, &taken);
+            let both = pass.concat(&[seen, taken]);
+            encoded.push(leaky(pass, both, layers.action_encoder));
+            states.push(leaky(pass, seen, layers.state_encoder));
+        }
         let encoded = pass.stack(&encoded);
         let values = leaky(pass, encoded, self.value);
         let (of_others, attended, squared_scores) = match self.looks {
@@ -193,17 +125,23 @@ impl Attentive {
                 let keys_values = pass.concat(&[keys, values]);
                 let others = groups.others(records.len());
                 let seen = pass.attention(queries, keys_values, &others, self.heads);
-                let scores = pass.squared_scores(queries, keys_values, &others, self.heads);
-                (seen, Some(seen), Some(scores))
+                let scores = || pass.squared_scores(queries, keys_values, &others, self.heads);
+                (seen, Some(seen), shown.learns.then(scores))
             }
         };
-        let of_actions = layers().zip(states).map(|((layers, group), state)| {
-            let others = pass.rows(of_others, group.places(records.len()));
-            let both = pass.concat(&[state, others]);
-            let hidden = leaky(pass, both, layers.hidden);
-            pass.linear(hidden, layers.head)
-        });
-        Values { of_actions: of_actions.collect(), attended, squared_scores, own: Vec::new() }
+        let of_actions =
+            self.groups.iter().zip(&groups.0).zip(states).map(|((layers, group), state)| {
+                let others = pass.rows(of_others, group.places(records.len()));
+                let both = pass.concat(&[state, others]);
+                let hidden = leaky(pass, both, layers.hidden);
+                pass.linear(hidden, layers.head).into()
+            });
+        Values {
+            of_actions: of_actions.collect(),
+            attended,
+            squared_scores,
+            own_actions: Vec::new(),
+        }
     }
 }
 
@@ -223,6 +161,7 @@ mod tests {
     use sortie_nn::tape::Tape;
 
     use super::*;
+    use crate::actor_critic::groups::{Group, Rows};
 
     /// Two agents that share and one alone, and what they see in two records.
     fn three() -> (Groups, Rows) {
@@ -237,14 +176,21 @@ mod tests {
     fn values(kind: CriticKind, actions: [u32; 6]) -> Vec<Vec<f32>> {
         let (groups, observations) = three();
         let shape = CriticShape { kind, width: 8, heads: 2, sees_own: false };
-        let critic = Critic::new(shape, &groups, &mut stream(1, 1, 0));
-        let actions = vec![actions[..4].to_vec(), actions[4..].to_vec()];
-        let mut encoded = Encoded::default();
-        let shown = critic.encode(&groups, &observations, [&actions; 2], false, &mut encoded);
+        let (critic, weights) = critic(shape, &groups, &mut stream(1, 1, 0));
+        let actions = [actions[..4].to_vec(), actions[4..].to_vec()];
+        let (observations, own) = (&observations, &Rows::new());
+        let shown = Shown {
+            observations,
+            states: &[],
+            actions: &actions,
+            normalised: false,
+            own,
+            learns: false,
+        };
         let mut tape = Tape::default();
-        let mut pass = tape.begin(&critic.parameters.values);
+        let mut pass = tape.begin(&weights.values);
         let values = critic.values(&mut pass, &groups, shown, 0..2);
-        let rows = values.of_actions.iter().flat_map(|of| pass.values(*of).chunks_exact(2));
+        let rows = values.of_actions.iter().flat_map(|of| pass.values(of.earned).chunks_exact(2));
         rows.map(<[f32]>::to_vec).collect()
     }
 
@@ -252,19 +198,26 @@ mod tests {
     fn relaxed(kind: CriticKind, own: &Rows) -> (f32, Rows) {
         let (groups, observations) = three();
         let shape = CriticShape { kind, width: 8, heads: 2, sees_own: true };
-        let critic = Critic::new(shape, &groups, &mut stream(1, 1, 0));
-        let (mut encoded, actions) = (Encoded::default(), vec![vec![1, 0, 1, 1], vec![0, 1]]);
-        critic.encode(&groups, &observations, [&actions; 2], false, &mut encoded);
-        encoded.own = own.clone();
-        let shown = Shown { observations: &observations, encoded: &encoded };
+        let (critic, weights) = critic(shape, &groups, &mut stream(1, 1, 0));
+        let actions = [vec![1, 0, 1, 1], vec![0, 1]];
+        let observations = &observations;
+        let shown = Shown {
+            observations,
+            states: &[],
+            actions: &actions,
+            normalised: false,
+            own,
+            learns: false,
+        };
         let mut tape = Tape::default();
-        let mut pass = tape.begin(&critic.parameters.values);
+        let mut pass = tape.begin(&weights.values);
         let values = critic.values(&mut pass, &groups, shown, 0..2);
-        let all = pass.stack(&values.of_actions);
+        let all: Vec<Var> = values.of_actions.iter().map(|of| of.earned).collect();
+        let all = pass.stack(&all);
         assert_eq!(pass.size(all), [6, 1]);
         let sum = pass.sum_rows(all);
-        pass.backward(sum, &mut vec![0.0; critic.parameters.values.len()]);
-        let slopes = values.own.iter().map(|own| pass.slopes(*own).unwrap().to_vec());
+        pass.backward(sum, &mut vec![0.0; weights.values.len()]);
+        let slopes = values.own_actions.iter().map(|own| pass.slopes(*own).unwrap().to_vec());
         (pass.values(sum)[0], slopes.collect())
     }
 
@@ -285,21 +238,6 @@ mod tests {
         }
     }
 
-    #[test]
-    fn one_critic_for_all_knows_whom_it_is_asked_about() {
-        let (groups, _) = three();
-        let shape = CriticShape { kind: CriticKind::One, width: 8, heads: 2, sees_own: false };
-        let critic = Critic::new(shape, &groups, &mut stream(1, 1, 0));
-        let mut encoded = Encoded::default();
-        let actions = vec![vec![1, 0, 1, 1], vec![0, 1]];
-        critic.encode(&groups, &vec![Vec::new(); 2], [&actions; 2], false, &mut encoded);
-        // What the others do, two columns each, and which agent.
-        let rows: Vec<&[f32]> = encoded.taken.iter().flat_map(|rows| rows.chunks(9)).collect();
-        assert_eq!(rows[1], [0., 1., 0., 0., 1., 0., 0., 1., 0.]);
-        assert_eq!(rows[4], [0., 1., 1., 0., 0., 0., 0., 0., 1.]);
-        assert_eq!(rows[5], [0., 1., 0., 1., 0., 0., 0., 0., 1.]);
-    }
-
     /// So that the mean over all own actions is a baseline.
     #[test]
     fn values_depend_on_what_the_others_did_in_the_same_record_alone() {
@@ -313,6 +251,7 @@ mod tests {
             assert_eq!(changed, [false, others, false, false, others, false], "{kind:?}");
         }
     }
+
     #[test]
     fn others_that_all_count_the_same_come_to_their_mean() {
         let (groups, _) = three();

@@ -8,7 +8,8 @@ use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::{CriticKind, CriticShape};
-use crate::actor_critic::groups::{Groups, Rows, SLOPE, Shown, Values, leaky};
+use crate::actor_critic::critic::{Critic, Shown, Values};
+use crate::actor_critic::groups::{Groups, SLOPE, leaky};
 
 /// Such a critic's layers.
 #[derive(Clone, Debug)]
@@ -66,38 +67,14 @@ impl Joint {
         });
         Self { kind, layers: layers.collect() }
     }
+}
 
-    /// Writes for every row what the others of its record do, each in its place, and which agent it is about.
-    pub(super) fn encode(&self, groups: &Groups, taken: &Rows, encoded: &mut Rows) {
-        for (index, (group, encoded)) in groups.0.iter().zip(encoded).enumerate() {
-            encoded.clear();
-            let columns = context_columns(self.kind, groups, index);
-            let records = taken[index].len() / (group.actions * group.agents.len());
-            for (record, agent) in group.order(records) {
-                let end = encoded.len() + columns;
-                if self.kind == CriticKind::Own {
-                    continue;
-                }
-                for (of, taken) in groups.0.iter().zip(taken) {
-                    let start = encoded.len();
-                    encoded.extend_from_slice(of.rows(taken, of.actions, &(record..record + 1)));
-                    if of.agents.contains(&agent) {
-                        let own = start + (agent - of.agents.start) * of.actions;
-                        encoded[own..own + of.actions].fill(0.0);
-                    }
-                }
-                let first = if self.kind == CriticKind::One { 0 } else { group.agents.start };
-                let asked = encoded.len() + agent - first;
-                encoded.resize(end, 0.0);
-                if asked < end {
-                    encoded[asked] = 1.0;
-                }
-            }
-        }
+impl Critic for Joint {
+    fn shared(&self) -> [usize; 2] {
+        [0, 1]
     }
 
-    /// The values of some records.
-    pub(super) fn values(
+    fn values(
         &self,
         pass: &mut Pass<'_>,
         groups: &Groups,
@@ -120,7 +97,7 @@ impl Joint {
             .collect();
         let whole = pass.concat(&of_records);
         let of_rows = groups.records(records.len());
-        let (mut of_actions, mut own) = (Vec::new(), Vec::new());
+        let mut found = Values::default();
         for (index, group) in groups.0.iter().enumerate() {
             let layers = self.layers[index % self.layers.len()];
             let mut first = if self.kind == CriticKind::Own {
@@ -131,14 +108,15 @@ impl Joint {
             };
             if let Some(layer) = layers.context {
                 let row = layer.shape.input;
-                let x = pass.input(row, group.rows(&shown.encoded.taken[index], row, &records));
+                let context = context(self.kind, groups, (index, row), shown.actions, &records);
+                let x = pass.input(row, &context);
                 let context = pass.linear(x, layer);
                 first = pass.add(first, context);
             }
             if let Some(layer) = layers.own {
                 let row = group.actions;
-                let leaf = pass.leaf(row, group.rows(&shown.encoded.own[index], row, &records));
-                own.push(leaf);
+                let leaf = pass.leaf(row, group.rows(&shown.own[index], row, &records));
+                found.own_actions.push(leaf);
                 let part = pass.linear(leaf, layer);
                 first = pass.add(first, part);
             }
@@ -146,9 +124,9 @@ impl Joint {
             let hidden = leaky(pass, first, layers.hidden);
             let values = pass.linear(hidden, layers.head);
             let known = group.actions.min(layers.head.shape.output);
-            of_actions.push(pass.columns(values, 0..known));
+            found.of_actions.push(pass.columns(values, 0..known).into());
         }
-        Values { of_actions, attended: None, squared_scores: None, own }
+        found
     }
 }
 
@@ -160,5 +138,61 @@ fn context_columns(kind: CriticKind, groups: &Groups, index: usize) -> usize {
         CriticKind::All => taken,
         CriticKind::One => taken + groups.agents(),
         _ => 0,
+    }
+}
+
+/// `[rows, columns]`: what the others of each row's record do, each in its place, and which agent the row is about.
+fn context(
+    kind: CriticKind,
+    groups: &Groups,
+    (index, columns): (usize, usize),
+    actions: &[Vec<u32>],
+    records: &Range<usize>,
+) -> Vec<f32> {
+    let group = &groups.0[index];
+    let mut context = vec![0.0; records.len() * group.agents.len() * columns];
+    let rows = context.chunks_exact_mut(columns).zip(group.order(records.clone()));
+    for (row, (record, agent)) in rows {
+        let mut first = 0;
+        for (of, actions) in groups.0.iter().zip(actions) {
+            for (other, action) in of.agents.clone().zip(&actions[of.range(&(record..record + 1))])
+            {
+                if other != agent {
+                    row[first + *action as usize] = 1.0;
+                }
+                first += of.actions;
+            }
+        }
+        let asked = if kind == CriticKind::One { agent } else { agent - group.agents.start };
+        if let Some(asked) = row.get_mut(first + asked) {
+            *asked = 1.0;
+        }
+    }
+    context
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::actor_critic::groups::Group;
+
+    #[test]
+    fn one_critic_for_all_knows_whom_it_is_asked_about() {
+        let group = |agents| Group { agents, observed: 3, identity: false, actions: 2 };
+        let groups = Groups(vec![group(0..2), group(2..3)]);
+        let actions = [vec![1, 0, 1, 1], vec![0, 1]];
+        let of = |kind, index| {
+            let columns = context_columns(kind, &groups, index);
+            context(kind, &groups, (index, columns), &actions, &(0..2))
+        };
+        // What the others do, two columns each, and which agent.
+        let rows = [of(CriticKind::One, 0), of(CriticKind::One, 1)].concat();
+        let rows: Vec<&[f32]> = rows.chunks(9).collect();
+        assert_eq!(rows[1], [0., 1., 0., 0., 1., 0., 0., 1., 0.]);
+        assert_eq!(rows[4], [0., 1., 1., 0., 0., 0., 0., 0., 1.]);
+        assert_eq!(rows[5], [0., 1., 0., 1., 0., 0., 0., 0., 1.]);
+        // Of one agent nobody asks which.
+        assert_eq!(of(CriticKind::All, 1)[6..], [0., 1., 0., 1., 0., 0.]);
+        assert_eq!(of(CriticKind::All, 0)[..8], [0., 0., 1., 0., 1., 0., 1., 0.]);
     }
 }

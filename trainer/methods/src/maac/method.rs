@@ -9,27 +9,25 @@ use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Thought, Transit
 
 use super::Config;
 use super::attention::thoughts;
-use super::learner::Learner;
-use crate::actor_critic::acting::{Acting, Actors, deployed, observed};
-use crate::actor_critic::batch::{Batch, Experience, Rule};
+use super::experience::Experience;
+use crate::actor_critic::acting::{Acting, Actors};
+use crate::actor_critic::critic::Batch;
+use crate::actor_critic::deployed::deployed;
 use crate::actor_critic::groups::Groups;
-use crate::actor_critic::replay::{Future, Place, Replay};
+use crate::actor_critic::learner::ActorCritic;
 
 /// Agents that learn from rewards of their own, and what they have seen.
 #[derive(Debug)]
 pub struct Maac {
     config: Config,
-    learner: Learner,
+    learner: ActorCritic,
     experience: Experience,
     /// Draws records and actions.
     random: Random,
-    /// Environment steps at which the memory held enough to learn from.
-    began: Option<u64>,
+    /// Environment steps before the first update.
+    first: u64,
     updates: u64,
-    /// Decisions since the last update, where each is learned from once.
-    fresh: Vec<Place>,
     batch: Batch,
-    future: Future,
     /// Actions of an agent, the most of any.
     actions: usize,
 }
@@ -38,27 +36,18 @@ impl Maac {
     /// Draws the first weights.
     pub fn new(config: Config, opening: &Opening<'_>) -> Self {
         let Opening { setup, environment, seed, threads } = *opening;
-        let spec = environment.spec();
-        let instances = setup.environment.instances;
+        let (spec, instances) = (environment.spec(), setup.environment.instances);
         let groups = Groups::new(spec, config.network.shared, config.network.identity);
         let mut weights = generator(seed, Purpose::Weights, 0);
-        let capacity = config.replay.capacity.div_ceil(instances);
-        let replay = Replay::new(instances, capacity, groups.agents(), observed(&groups));
-        let returns = &config.returns;
-        let rule = Rule {
-            interval: returns.decision_interval,
-            discount: returns.discount,
-            shaping: returns.shaping,
-        };
+        // Every instance needs to have played for longer than a record looks ahead.
+        let first = config.replay.first.max(4 * config.returns.steps * instances);
         Self {
-            learner: Learner::new(config.clone(), groups, threads, &mut weights),
-            experience: Experience::new(rule, instances, replay),
+            learner: config.learner(groups, threads, &mut weights),
+            experience: Experience::new(&config, spec, instances),
             random: generator(seed, Purpose::Replay, 0),
-            began: None,
+            first: (first * config.returns.decision_interval) as u64,
             updates: 0,
-            fresh: Vec::new(),
             batch: Batch::default(),
-            future: Future::default(),
             actions: spec.shape.actions,
             config,
         }
@@ -66,33 +55,8 @@ impl Maac {
 
     /// The policies that are measured, and deployed.
     fn measured(&self) -> Actors<'_> {
-        actors(&self.config, &self.learner, &self.learner.average_policies)
+        self.config.actors(&self.learner, &self.learner.policy_learner.average)
     }
-
-    /// Draws records for an update, or takes those that are fresh.
-    fn gather(&mut self) {
-        let Self { config, learner, experience, random, fresh, batch, future, .. } = self;
-        let replay = &experience.replay;
-        let (groups, inputs, steps) = (&learner.groups, config.inputs(), config.returns.steps);
-        batch.clear(groups);
-        fresh.sort_unstable();
-        batch.follows.extend(fresh.windows(2).map(|pair| pair[0].next() == pair[1]));
-        let records = if fresh.is_empty() { config.replay.batch } else { fresh.len() };
-        for record in 0..records {
-            let place = match fresh.get(record) {
-                Some(place) => *place,
-                None => replay.draw(steps, random),
-            };
-            replay.future(place, steps, true, future);
-            batch.add(groups, inputs, replay, place, future);
-        }
-        fresh.clear();
-    }
-}
-
-fn actors<'a>(config: &Config, learner: &'a Learner, weights: &'a [f32]) -> Actors<'a> {
-    let Learner { groups, policies, running, .. } = learner;
-    Actors { groups, inputs: config.inputs(), policies, head: 0, weights, running }
 }
 
 impl Method for Maac {
@@ -109,41 +73,34 @@ impl Method for Maac {
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
         let Self { config, learner, experience, .. } = self;
-        let weights = &learner.policies.parameters.values;
-        experience.act(actors(config, learner, weights), scenes, random, actions);
+        let actors = config.actors(learner, &learner.policy_learner.online.values);
+        experience.act(actors, scenes, random, actions);
         Ok(())
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
-        let Self { config, learner, experience, fresh, .. } = self;
-        let place = experience.remember(&learner.groups, transition.agent_rewards, transition);
-        fresh.extend(place.filter(|_| config.replay.on_policy));
+        self.experience.remember(transition);
         Ok(())
     }
 
     fn update(
         &mut self,
-        _: &dyn Environment,
+        environment: &dyn Environment,
         now: Now,
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
         let rule = &self.config.replay;
-        if self.began.is_none() && self.experience.replay.decisions() >= rule.first {
-            self.began = Some(now.env_steps);
-        }
-        let Some(began) = self.began else {
-            self.fresh.clear();
-            return Ok(());
+        let due = match now.env_steps.checked_sub(self.first) {
+            None => 0,
+            Some(_) if rule.on_policy => self.updates + 1,
+            Some(steps) => steps / rule.steps_per_period * rule.updates_per_period,
         };
-        let periods = (now.env_steps - began) / rule.steps_per_period;
-        let due = periods * rule.updates_per_period;
-        let due = if rule.on_policy { self.updates + 1 } else { due };
         let entropy = self.config.entropy.at(now.env_steps);
         while self.updates < due {
             self.updates += 1;
-            self.gather();
-            let report = self.learner.update(&mut self.batch, entropy, &mut self.random);
-            reports.agents.push(report);
+            let Self { config, learner, experience, random, batch, .. } = self;
+            experience.gather(environment, config, learner, random, batch);
+            reports.agents.push(learner.update(batch, entropy, random));
         }
         Ok(())
     }
@@ -161,46 +118,10 @@ impl Method for Maac {
     }
 
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
-        let Learner {
-            critic,
-            target_critic,
-            critic_optimiser,
-            policies,
-            target_policies,
-            average_policies,
-            policy_optimiser,
-            running,
-            ..
-        } = &mut self.learner;
-        let tensors = critic.parameters.tensors().to_vec();
-        for (name, vector) in [
-            ("critic", &mut critic.parameters.values),
-            ("target-critic", target_critic),
-            ("critic-adam-mean", &mut critic_optimiser.mean),
-            ("critic-adam-square", &mut critic_optimiser.square),
-        ] {
-            state.tensors(name, &tensors, vector)?;
-        }
-        let tensors = policies.parameters.tensors().to_vec();
-        for (name, vector) in [
-            ("policies", &mut policies.parameters.values),
-            ("target-policies", target_policies),
-            ("average-policies", average_policies),
-            ("policy-adam-mean", &mut policy_optimiser.mean),
-            ("policy-adam-square", &mut policy_optimiser.square),
-        ] {
-            state.tensors(name, &tensors, vector)?;
-        }
-        state.value("critic-adam-steps", &mut critic_optimiser.steps)?;
-        state.value("policy-adam-steps", &mut policy_optimiser.steps)?;
-        running.state(state)?;
+        self.experience.state(state)?;
+        self.learner.state(state)?;
         state.value("random", &mut self.random)?;
-        state.value("began", &mut self.began)?;
-        state.value("updates", &mut self.updates)?;
-        if self.config.replay.on_policy {
-            state.value("fresh", &mut self.fresh)?;
-        }
-        self.experience.state(state)
+        state.value("updates", &mut self.updates)
     }
 }
 
@@ -217,18 +138,12 @@ impl Act for Greedy<'_> {
         _: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
-        let actors = self.maac.measured();
-        let groups = actors.groups;
-        self.acting.look(actors, scenes.environment, scenes.scenes.iter());
-        for (place, actions) in actions.chunks_exact_mut(groups.agents()).enumerate() {
-            self.acting.choose(groups, place, None, actions);
-        }
+        self.acting.act(self.maac.measured(), scenes, None, actions);
         Ok(())
     }
 
     fn thoughts(&mut self, scenes: &Scenes<'_>, actions: &[u16]) -> Vec<Thought> {
-        let actors = self.maac.measured();
-        self.acting.look(actors, scenes.environment, scenes.scenes.iter());
+        self.acting.look(self.maac.measured(), scenes);
         thoughts(&self.maac.learner, &self.acting, actions)
     }
 }
@@ -237,6 +152,7 @@ impl Act for Greedy<'_> {
 mod tests {
     use sortie_envs::Split;
     use sortie_learn::Scene;
+    use sortie_learn::trajectory::Place;
 
     use super::super::presets::MAAC;
     use super::*;
@@ -295,7 +211,8 @@ mod tests {
                 *sum += factor * *reward as f32;
             }
             if step % INTERVAL == INTERVAL - 1 {
-                let kept = maac.experience.replay.rewards(0, step / INTERVAL);
+                let place = Place::default().after(step / INTERVAL);
+                let kept = maac.experience.replay.rewards(place).agents;
                 for (agent, (kept, sum)) in kept.iter().zip(&rewards).enumerate() {
                     let want = sum + factor * discount * near(&*world, &next, agent);
                     assert!((kept - want).abs() < 1e-4, "agent {agent}: {kept} {want}");
@@ -341,8 +258,14 @@ mod tests {
         let mut clipped = small();
         clipped.optimiser.critic_clip = 1e-3;
         let (maac, reports, _) = learned(clipped, 1);
-        let norm =
-            maac.learner.critic_gradient.iter().map(|slope| slope * slope).sum::<f32>().sqrt();
+        let norm = maac
+            .learner
+            .critic_learner
+            .gradient()
+            .iter()
+            .map(|slope| slope * slope)
+            .sum::<f32>()
+            .sqrt();
         assert!(norm <= 2.1e-3 && reports.agents[2].gradient_norm > 0.01, "{norm}");
     }
 
@@ -374,16 +297,17 @@ mod tests {
     #[test]
     fn measured_are_the_averaged_policies() {
         let (mut maac, _, world) = learned(small(), 2);
-        assert_ne!(maac.learner.average_policies, maac.learner.policies.parameters.values);
+        let policies = &mut maac.learner.policy_learner;
+        assert_ne!(policies.average, policies.online.values);
         let act = |maac: &Maac| {
             let mut team = maac.team();
             let report = sortie_learn::play::evaluate(&*world, &mut *team, 20, 1).unwrap();
             report.return_mean
         };
         let before = act(&maac);
-        maac.learner.policies.parameters.values.iter_mut().for_each(|weight| *weight = -*weight);
+        maac.learner.policy_learner.online.values.iter_mut().for_each(|weight| *weight = -*weight);
         assert_eq!(act(&maac), before);
-        maac.learner.average_policies.iter_mut().for_each(|weight| *weight = -*weight);
+        maac.learner.policy_learner.average.iter_mut().for_each(|weight| *weight = -*weight);
         assert_ne!(act(&maac), before);
     }
 

@@ -5,8 +5,8 @@
 
 mod attention;
 mod critic;
+mod experience;
 mod joint;
-mod learner;
 mod method;
 mod presets;
 
@@ -14,15 +14,19 @@ use sortie_learn::configuration::Range::{self, Number, OneOf, Truth, Whole};
 use sortie_learn::configuration::SHARE;
 use sortie_learn::{sections, words};
 
-use crate::actor_critic::acting::{Inputs, PolicyShape};
-use crate::actor_critic::groups::SLOPE;
-use crate::actor_critic::losses::Step;
+use sortie_nn::optimise::AdamRules;
+use sortie_nn::random::Generator;
 
-pub use crate::actor_critic::acting::Policies;
-pub use crate::actor_critic::batch::Batch;
+use crate::actor_critic::acting::{Actors, Inputs};
+use crate::actor_critic::groups::SLOPE;
+use crate::actor_critic::policies::PolicyShape;
+use crate::actor_critic::rules::Rules;
+
+pub use crate::actor_critic::critic::Batch;
 pub use crate::actor_critic::groups::{Draw, Group, Groups, Rows, Running};
-pub use critic::Critic;
-pub use learner::Learner;
+pub use crate::actor_critic::learner::ActorCritic;
+pub use crate::actor_critic::policies::Policies;
+pub use crate::actor_critic::rules::{OwnActions, PolicyValues};
 pub use method::Maac;
 pub use presets::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};
 
@@ -30,6 +34,8 @@ const ANY: Range = Number(0.0, 1e6);
 const WIDTH: Range = Whole(4, 1024);
 const SIZE: Range = Whole(1, 20_000_000);
 const STEPS: Range = Whole(0, 20_000_000_000);
+/// Records of a shard of an update.
+const SHARD: usize = 128;
 const FEW: Range = Whole(1, 1000);
 
 sections! {
@@ -163,28 +169,6 @@ words! {
     }
 }
 
-words! {
-    /// How an agent's own action counts in targets and policies.
-    OwnActions {
-        /// All of them, by their chances.
-        Expected = "expected",
-        /// One that is drawn.
-        Drawn = "drawn",
-        /// One that the critic is shown, relaxed: the best in targets, drawn for policies (Gumbel-softmax).
-        Relaxed = "relaxed",
-    }
-}
-
-words! {
-    /// Which values policies learn from.
-    PolicyValues {
-        /// Those that the critic's own update computed, for the others' actions of then.
-        Kept = "kept",
-        /// Those of the updated critic for actions that all draw now.
-        Fresh = "fresh",
-    }
-}
-
 impl Config {
     /// The preset `paper`: the published settings.
     pub fn paper() -> Self {
@@ -203,14 +187,17 @@ impl Config {
         paper
     }
 
-    /// What becomes of observations.
-    fn inputs(&self) -> Inputs {
-        let NetworkConfig { normalised, input_scale: scale, .. } = self.network;
-        Inputs { normalised, scale }
+    /// What becomes of observations; moments of policies that normalise them.
+    fn inputs<'a>(&self, running: Option<&'a Running>) -> Inputs<'a> {
+        let NetworkConfig { normalised, input_scale, .. } = self.network;
+        Inputs { scale: if normalised { 1.0 } else { input_scale }, running }
     }
 
-    fn policy_shape(&self) -> PolicyShape {
-        PolicyShape { widths: [self.network.policy_width; 2], heads: 1, slope: SLOPE }
+    /// Policies that act by these weights.
+    fn actors<'a>(&self, learner: &'a ActorCritic, weights: &'a [f32]) -> Actors<'a> {
+        let ActorCritic { groups, policies, running, .. } = learner;
+        let inputs = self.inputs(running.as_ref());
+        Actors { groups, inputs, policies, head: 0, weights }
     }
 
     /// The critic's sizes.
@@ -218,12 +205,34 @@ impl Config {
         let NetworkConfig { critic: kind, critic_width: width, heads, .. } = self.network;
         CriticShape { kind, width, heads, sees_own: self.update.own_actions == OwnActions::Relaxed }
     }
-}
 
-impl OptimiserConfig {
-    /// How networks of this rate and decay move.
-    fn step(&self, rate: f32, decay: f32) -> Step {
-        Step { rate, decay, epsilon: self.epsilon, early_epsilon: self.early_epsilon }
+    /// Critic and policies before their first update.
+    pub fn learner(&self, groups: Groups, threads: usize, random: &mut Generator) -> ActorCritic {
+        let width = self.network.policy_width;
+        let policies = PolicyShape { widths: [width; 2], heads: 1, slope: SLOPE };
+        let critic = critic::critic(self.critic_shape(), &groups, random);
+        let policies = Policies::new(policies, &groups, random);
+        let (rules, normalised) = (self.rules(groups.agents()), self.network.normalised);
+        ActorCritic::new(rules, groups, critic, policies, normalised, threads)
+    }
+
+    fn rules(&self, agents: usize) -> Rules {
+        let (optimiser, update) = (&self.optimiser, &self.update);
+        let OptimiserConfig { epsilon, early_epsilon, weight_decay: decay, .. } = *optimiser;
+        Rules {
+            own_actions: update.own_actions,
+            policy_values: update.policy_values,
+            lambda: self.returns.lambda,
+            // Nobody is paid for anything else.
+            paid_discount: 0.0,
+            paid_weight: 0.0,
+            penalties: [update.attention_penalty, update.score_penalty],
+            rates: [optimiser.critic_rate, optimiser.policy_rate],
+            adam: AdamRules { epsilon, early_epsilon, decay },
+            clips: [optimiser.critic_clip * agents as f32, optimiser.policy_clip],
+            follow: [optimiser.target_rate, optimiser.average_rate],
+            shard: SHARD,
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use sortie_learn::{LearnError, Method};
 use sortie_nn::random::stream;
 use toml::{Table, Value};
 
-use super::critic::Critic;
+use super::critic::critic;
 use super::method::Maac;
 use super::{Config, CriticKind, CriticShape, KEYS, OwnActions, PolicyValues};
 use crate::actor_critic::groups::Groups;
@@ -127,7 +127,7 @@ fn width_like(other: CriticShape, shape: CriticShape, groups: &Groups) -> usize 
     if shape == other {
         return shape.width;
     }
-    let count = |shape| Critic::new(shape, groups, &mut stream(1, 1, 0)).parameters.values.len();
+    let count = |shape| critic(shape, groups, &mut stream(1, 1, 0)).1.values.len();
     let want = count(other);
     let has = |width: &usize| count(CriticShape { width: *width, ..shape }) >= want;
     (4..=256).find(has).unwrap_or(other.width)
@@ -261,8 +261,8 @@ mod tests {
                 let config: Config = setup.own().unwrap();
                 let groups =
                     Groups::new(world.spec(), config.network.shared, config.network.identity);
-                let critic = Critic::new(config.critic_shape(), &groups, &mut stream(1, 1, 0));
-                critic.parameters.values.len() as f64
+                let critic = critic(config.critic_shape(), &groups, &mut stream(1, 1, 0));
+                critic.1.values.len() as f64
             };
             let maac = count(&MAAC);
             for entry in [COMA, COMA_SAC, MADDPG, MADDPG_SAC, DDPG] {

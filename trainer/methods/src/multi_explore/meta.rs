@@ -2,10 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::Random;
-use sortie_envs::random::{below, unit};
+use sortie_envs::random::below;
 use sortie_nn::random::normals;
 
 use super::MetaConfig;
+use crate::novelty::{drawn, shares};
 
 /// The meta-policy, and what the turns of each head returned.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,8 +32,7 @@ impl MetaPolicy {
 
     /// By heads: the chance to be drawn.
     pub fn chances(&self) -> Vec<f64> {
-        let most = self.scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let shares: Vec<f64> = self.scores.iter().map(|score| (score - most).exp()).collect();
+        let shares = shares(self.scores.iter().copied(), 1.0);
         let sum: f64 = shares.iter().sum();
         shares.into_iter().map(|share| share / sum).collect()
     }
@@ -60,12 +60,8 @@ impl MetaPolicy {
     /// Draws the head of the next turn.
     pub fn draw(&mut self, uniform: bool, random: &mut Random) {
         let heads = self.scores.len();
-        let mut left = unit(random);
-        let drawn = self.chances().iter().position(|chance| {
-            left -= chance;
-            left < 0.0
-        });
-        self.head = if uniform { below(random, heads) } else { drawn.unwrap_or(heads - 1) };
+        let drawn = drawn(&self.chances(), random);
+        self.head = if uniform { below(random, heads) } else { drawn };
     }
 
     /// The head whose turns returned most, the first of equal ones: the one that is deployed.

@@ -1,20 +1,24 @@
 //! The published learner as a [`Method`].
 
-use sortie_envs::{Environment, Observation, Random};
+use sortie_envs::{EntitySet, Environment, Observation, Random};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{Act, Head, LearnError, Method, Now, Scenes, State, Thought, Transition};
+use sortie_learn::trajectory::{Capacity, Widths};
+use sortie_learn::{
+    Act, Head, LearnError, Method, Now, Scene, Scenes, State, Thought, Trajectories, Transition,
+};
+use sortie_nn::tape::Tape;
 
 use super::Config;
 use super::meta::{MetaPolicy, Moments};
-use crate::actor_critic::acting::{Acting, Actors, Inputs, deployed, observe, observed};
-use crate::actor_critic::batch::{Experience, Rule};
-use crate::actor_critic::groups::{Running, best};
-use crate::actor_critic::heads::{HeadBatch, HeadLearner};
-use crate::actor_critic::replay::{Future, Replay};
-use crate::novelty::{CELLS, Columns, Counts, Intrinsic};
+use crate::actor_critic::acting::{Acting, Actors, Inputs, scores_of, show};
+use crate::actor_critic::critic::Batch;
+use crate::actor_critic::deployed::deployed;
+use crate::actor_critic::groups::best;
+use crate::actor_critic::learner::ActorCritic;
+use crate::novelty::{CELLS, Columns, Counts, Discounted, Intrinsic};
 
 /// Agents of several heads, and what they have seen.
 #[derive(Debug)]
@@ -22,36 +26,27 @@ pub struct MultiExplore {
     config: Config,
     columns: Columns,
     heads: Vec<Option<Intrinsic>>,
-    learner: HeadLearner,
-    experience: Experience,
+    learner: ActorCritic,
+    replay: Trajectories,
+    acting: Acting,
     meta: MetaPolicy,
     counts: Counts,
     /// By agents and heads: intrinsic rewards of what happened.
     moments: Vec<Moments>,
-    episodes: Vec<Episode>,
+    /// By instances.
+    episodes: Vec<Discounted>,
     /// Discounted returns of the episodes of this turn that ended.
     turn: Vec<f64>,
-    /// What agents saw in all that was stepped into since the last update, one behind the other.
-    stepped: Vec<f32>,
+    /// `[steps, A]`: the cells that were stepped into since the last update.
+    stepped: Vec<u16>,
     seen: Observation,
     /// Draws records, actions and heads.
     random: Random,
-    began: Option<u64>,
+    /// Environment steps before the first update.
+    first: u64,
     updates: u64,
-    batch: HeadBatch,
-    /// What networks are shown is as it is.
-    unchanged: Running,
+    batch: Batch,
 }
-
-/// What the running episode of an instance returned.
-#[derive(Clone, Copy, Debug, Default, serde::Serialize, serde::Deserialize)]
-struct Episode {
-    discounted: f64,
-    /// What a reward of the next step counts.
-    discount: f64,
-}
-
-const INPUTS: Inputs = Inputs { normalised: false, scale: 1.0 };
 
 impl MultiExplore {
     /// Draws the first weights.
@@ -66,24 +61,23 @@ impl MultiExplore {
         let (columns, learner) = networks.expect("the environment was found to fit");
         let (agents, instances) = (learner.groups.agents(), setup.environment.instances);
         let heads = config.heads();
-        let capacity = config.replay.capacity.div_ceil(instances);
-        let replay = Replay::new(instances, capacity, agents, observed(&learner.groups));
-        let rule = Rule { interval: 1, discount: 1.0, shaping: 0.0 };
+        let capacity = Capacity::States(config.replay.capacity.div_ceil(instances));
         let mut random = generator(seed, Purpose::Replay, 0);
         Self {
-            unchanged: Running::new(&learner.groups),
             learner,
-            experience: Experience::new(rule, instances, replay),
+            replay: Trajectories::new(capacity, instances, Widths { agents, ..Widths::default() }),
+            acting: Acting::default(),
             meta: MetaPolicy::new(heads.len(), &mut random),
             counts: Counts::new(agents, CELLS, heads.contains(&Some(Intrinsic::Centralized))),
             moments: vec![Moments::default(); agents * heads.len()],
-            episodes: vec![Episode::default(); instances],
+            episodes: vec![Discounted::default(); instances],
             turn: Vec::new(),
             stepped: Vec::new(),
             seen: Observation::new(&spec.shape),
-            began: None,
+            // Every instance needs to have stepped.
+            first: config.replay.batch.max(4 * instances) as u64,
             updates: 0,
-            batch: HeadBatch::default(),
+            batch: Batch::default(),
             random,
             columns,
             heads,
@@ -93,24 +87,19 @@ impl MultiExplore {
 
     /// The policies of the head that is deployed.
     fn best(&self) -> Actors<'_> {
-        actors(&self.learner, self.meta.best(), &self.unchanged)
+        actors(&self.learner, self.meta.best())
     }
 
-    /// Looks what all agents see in a state and counts them there; keeps that if they stepped into it.
-    fn visit(&mut self, environment: &dyn Environment, state: &[u8], is_step: bool) {
-        let start = self.stepped.len();
-        observe(environment, &self.learner.groups, state, &mut self.seen, &mut self.stepped);
-        self.counts.visit(self.columns.cells(&self.stepped[start..]));
-        if !is_step {
-            self.stepped.truncate(start);
-        }
+    /// Looks where all agents are in a state and counts them there.
+    fn visit(&mut self, environment: &dyn Environment, state: &[u8]) {
+        environment.observe(state, 0, EntitySet::MAX, &mut self.seen);
+        self.counts.visit(self.columns.cells(&self.seen.rows));
     }
 
-    /// Adds by agents and heads what each is paid where all see this, not normalised yet.
-    fn pay(&self, observation: &[f32], paid: &mut [Vec<f32>]) {
-        let cells = || self.columns.cells(observation);
-        let team = self.counts.team_novelty(cells());
-        for (agent, cell) in cells().enumerate() {
+    /// Adds by agents and heads what each is paid where they stand in these cells, not normalised yet.
+    fn pay(&self, cells: impl Iterator<Item = u16> + Clone, paid: &mut [Vec<f32>]) {
+        let team = self.counts.team_novelty(cells.clone());
+        for (agent, cell) in cells.enumerate() {
             let novelties = self.counts.novelties(cell);
             for (head, kind) in self.heads.iter().enumerate() {
                 let paid = &mut paid[agent * self.heads.len() + head];
@@ -119,40 +108,35 @@ impl MultiExplore {
         }
     }
 
-    /// `[agents]`: what agents think where all see this, and what each head would pay and do there.
-    fn thoughts(&self, observation: &[f32], acting: &mut Acting) -> Vec<Thought> {
-        let Self { learner, heads, meta, unchanged, .. } = self;
+    /// `[A]`: what agents think where this is seen, and what each head would pay and do there.
+    fn thoughts(&self, seen: &Observation) -> Vec<Thought> {
+        let Self { learner, heads, meta, .. } = self;
         let mut paid = vec![Vec::new(); self.moments.len()];
-        self.pay(observation, &mut paid);
-        let (mut rest, mut thoughts) = (observation, Vec::new());
-        for group in &learner.groups.0 {
-            for agent in group.agents.clone() {
-                let row;
-                (row, rest) = rest.split_at(group.observed);
-                let mut scores = |head| {
-                    let actors = actors(learner, head, unchanged);
-                    acting.look_from(actors, agent, row).unwrap_or_default().to_vec()
-                };
-                let head = |(head, explores): (usize, &Option<Intrinsic>)| Head {
-                    name: explores.map_or("none", Intrinsic::name).to_owned(),
-                    pays: paid[agent * heads.len() + head].first().copied().unwrap_or_default(),
-                    likes: best(&scores(head)) as u16,
-                    acts: head == meta.best(),
-                };
-                let heads = heads.iter().enumerate().map(head).collect();
-                let scores = scores(meta.best());
-                thoughts.push(Thought { scores, heads, ..Thought::default() });
-            }
-        }
-        thoughts
+        self.pay(self.columns.cells(&seen.rows), &mut paid);
+        let (mut tape, mut row) = (Tape::default(), vec![0.0; learner.groups.0[0].observed]);
+        let thought = |agent: usize| {
+            seen.rows.write_dense(agent, &mut row);
+            let mut scores = |head| {
+                let scores = scores_of(actors(learner, head), &mut tape, agent, &row);
+                scores.unwrap_or_default()
+            };
+            let head = |(head, explores): (usize, &Option<Intrinsic>)| Head {
+                name: explores.map_or("none", Intrinsic::name).to_owned(),
+                pays: paid[agent * heads.len() + head].first().copied().unwrap_or_default(),
+                likes: best(&scores(head)) as u16,
+                acts: head == meta.best(),
+            };
+            let heads = heads.iter().enumerate().map(head).collect();
+            Thought { scores: scores(meta.best()), heads, ..Thought::default() }
+        };
+        (0..learner.groups.agents()).map(thought).collect()
     }
 
     /// Adds what was paid for the last steps to the moments of intrinsic rewards.
     fn add_moments(&mut self) {
-        let stepped = std::mem::take(&mut self.stepped);
         let mut paid = vec![Vec::new(); self.moments.len()];
-        for observation in stepped.chunks_exact(observed(&self.learner.groups)) {
-            self.pay(observation, &mut paid);
+        for cells in self.stepped.chunks_exact(self.learner.groups.agents()) {
+            self.pay(cells.iter().copied(), &mut paid);
         }
         for (moments, paid) in self.moments.iter_mut().zip(paid) {
             let paid: Vec<f64> = paid.into_iter().map(f64::from).collect();
@@ -160,41 +144,42 @@ impl MultiExplore {
                 moments.add(&paid);
             }
         }
-        self.stepped = stepped;
         self.stepped.clear();
     }
 
     /// Draws records for an update. Intrinsic rewards are those of today, in today's deviations.
-    fn gather(&mut self) {
-        let (mut batch, mut future) = (std::mem::take(&mut self.batch), Future::default());
-        let groups = &self.learner.groups;
-        batch.records.clear(groups);
-        batch.states.iter_mut().for_each(Vec::clear);
-        batch.own.resize_with(self.moments.len(), Vec::new);
-        batch.own.iter_mut().for_each(Vec::clear);
+    fn gather(&mut self, environment: &dyn Environment) {
+        let (mut batch, mut seen) =
+            (std::mem::take(&mut self.batch), std::mem::take(&mut self.seen));
+        let (groups, discount) = (&self.learner.groups, self.config.returns.discount);
+        batch.clear(self.learner.sizes());
         for _ in 0..self.config.replay.batch {
-            let replay = &self.experience.replay;
-            let place = replay.draw(1, &mut self.random);
-            replay.future(place, 1, false, &mut future);
-            batch.records.add(groups, INPUTS, replay, place, &future);
-            let next = replay.observation(place.next());
-            let [state, next_state] = &mut batch.states;
-            self.columns.write_state(replay.observation(place), state);
-            self.columns.write_state(next, next_state);
-            self.pay(next, &mut batch.own);
+            let place = self.replay.draw(1, &mut self.random);
+            let future = self.replay.future(place, 1, discount);
+            batch.add(groups, self.replay.actions(place), |_| future.reward, future.discount);
+            let Batch { observations, next, states, .. } = &mut batch;
+            for ((place, shown), state) in
+                [(place, observations), (future.place, next)].into_iter().zip(states)
+            {
+                environment.observe(self.replay.state(place), 0, EntitySet::MAX, &mut seen);
+                show(groups, 1.0, &seen, shown);
+                self.columns.write_state(&seen.rows, state);
+            }
+            self.pay(self.columns.cells(&seen.rows), &mut batch.paid);
         }
-        for (own, moments) in batch.own.iter_mut().zip(&self.moments) {
+        for (paid, moments) in batch.paid.iter_mut().zip(&self.moments) {
             let deviation = moments.variance.sqrt() as f32;
-            own.iter_mut().for_each(|reward| *reward /= deviation);
+            paid.iter_mut().for_each(|reward| *reward /= deviation);
         }
-        self.batch = batch;
+        (self.batch, self.seen) = (batch, seen);
     }
 }
 
-fn actors<'a>(learner: &'a HeadLearner, head: usize, running: &'a Running) -> Actors<'a> {
-    let HeadLearner { groups, policies, .. } = learner;
-    let weights = &policies.parameters.values;
-    Actors { groups, inputs: INPUTS, policies, head, weights, running }
+/// One of the heads at work.
+fn actors(learner: &ActorCritic, head: usize) -> Actors<'_> {
+    let ActorCritic { groups, policies, policy_learner, .. } = learner;
+    let inputs = Inputs { scale: 1.0, running: None };
+    Actors { groups, inputs, policies, head, weights: &policy_learner.online.values }
 }
 
 impl Method for MultiExplore {
@@ -208,7 +193,7 @@ impl Method for MultiExplore {
     }
 
     fn begins(&mut self, instance: usize, _: &mut Random) {
-        self.episodes[instance] = Episode { discounted: 0.0, discount: 1.0 };
+        self.episodes[instance] = Discounted::default();
     }
 
     fn act(
@@ -219,24 +204,22 @@ impl Method for MultiExplore {
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
         for scene in scenes.scenes.iter().filter(|scene| scene.begins) {
-            self.visit(scenes.environment, scene.state, false);
+            self.visit(scenes.environment, scene.state);
         }
-        let actors = actors(&self.learner, self.meta.head, &self.unchanged);
-        self.experience.act(actors, scenes, random, actions);
+        let actors = actors(&self.learner, self.meta.head);
+        self.acting.act(actors, scenes, Some(random), actions);
         Ok(())
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
         let Transition { environment, instance, step, next, .. } = *transition;
-        self.visit(environment, next, true);
-        let groups = &self.learner.groups;
-        let rewards = vec![step.reward; groups.agents()];
-        self.experience.remember(groups, &rewards, transition);
+        self.visit(environment, next);
+        self.stepped.extend(self.columns.cells(&self.seen.rows));
+        self.replay.push(transition);
         let episode = &mut self.episodes[instance];
-        episode.discounted += episode.discount * step.reward;
-        episode.discount *= f64::from(self.config.returns.discount);
+        episode.add(step.reward, self.config.returns.discount);
         if step.done() {
-            self.turn.push(episode.discounted);
+            self.turn.push(episode.sum);
         }
         if self.turn.len() == self.episodes.len() {
             self.meta.learn(&self.config.meta, &self.turn);
@@ -248,21 +231,20 @@ impl Method for MultiExplore {
 
     fn update(
         &mut self,
-        _: &dyn Environment,
+        environment: &dyn Environment,
         now: Now,
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
         self.add_moments();
         let rule = &self.config.replay;
-        if self.began.is_none() && self.experience.replay.decisions() >= rule.batch {
-            self.began = Some(now.env_steps);
-        }
-        let Some(began) = self.began else { return Ok(()) };
-        let due = (now.env_steps - began) / rule.steps_per_period * rule.updates_per_period;
+        let steps = now.env_steps.saturating_sub(self.first);
+        let due = steps / rule.steps_per_period * rule.updates_per_period;
+        let entropy = self.config.returns.entropy;
         while self.updates < due {
             self.updates += 1;
-            self.gather();
-            reports.agents.push(self.learner.update(&self.batch, &mut self.random));
+            self.gather(environment);
+            let Self { learner, batch, random, .. } = self;
+            reports.agents.push(learner.update(batch, entropy, random));
         }
         Ok(())
     }
@@ -281,15 +263,14 @@ impl Method for MultiExplore {
     }
 
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        self.replay.visit(state)?;
         self.learner.state(state)?;
-        self.experience.state(state)?;
         state.kept("meta-policy", &mut self.meta)?;
         state.value("counts", &mut self.counts)?;
         state.value("moments", &mut self.moments)?;
         state.value("episodes", &mut self.episodes)?;
         state.value("turn", &mut self.turn)?;
         state.value("random", &mut self.random)?;
-        state.value("began", &mut self.began)?;
         state.value("updates", &mut self.updates)
     }
 }
@@ -308,19 +289,17 @@ impl Act for Greedy<'_> {
         _: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
-        let groups = self.actors.groups;
-        self.acting.look(self.actors, scenes.environment, scenes.scenes.iter());
-        for (place, actions) in actions.chunks_exact_mut(groups.agents()).enumerate() {
-            self.acting.choose(groups, place, None, actions);
-        }
+        self.acting.act(self.actors, scenes, None, actions);
         Ok(())
     }
 
-    fn thoughts(&mut self, _: &Scenes<'_>, _: &[u16]) -> Vec<Thought> {
-        // They have just looked at the scenes.
-        let observations = std::mem::take(&mut self.acting.observations);
-        let scenes = observations.chunks_exact(observed(self.actors.groups));
-        scenes.flat_map(|scene| self.team.thoughts(scene, &mut self.acting)).collect()
+    fn thoughts(&mut self, scenes: &Scenes<'_>, _: &[u16]) -> Vec<Thought> {
+        let mut seen = Observation::default();
+        let thoughts = |scene: &Scene<'_>| {
+            scenes.environment.observe(scene.state, 0, EntitySet::MAX, &mut seen);
+            self.team.thoughts(&seen)
+        };
+        scenes.scenes.iter().flat_map(thoughts).collect()
     }
 
     fn visits(&self) -> Vec<Vec<u32>> {
@@ -330,8 +309,7 @@ impl Act for Greedy<'_> {
 
 #[cfg(test)]
 mod tests {
-    use sortie_envs::Split;
-    use sortie_learn::Scene;
+    use sortie_envs::{SparseRows, Split};
 
     use super::*;
     use crate::ma_exp::MA_EXP;
@@ -380,38 +358,41 @@ mod tests {
         assert_eq!(all, [steps as u32 + 3; 2]);
         let count = |moments: &Moments| (moments.count - 1e-4).round();
         assert!(method.moments.iter().all(|moments| count(moments) == steps as f64));
-        assert_eq!((method.moments.len(), method.experience.replay.decisions()), (10, 240));
+        assert_eq!(method.moments.len(), 10);
     }
 
     #[test]
     fn heads_are_paid_for_where_agents_came_to_by_todays_counts() {
         let (mut method, _, _) = played(120);
-        method.gather();
+        method.gather(&*begun().0);
         let (batch, groups) = (&method.batch, &method.learner.groups);
-        assert_eq!((batch.records.records, batch.own.len(), groups.agents()), (90, 10, 2));
+        assert_eq!((batch.records, batch.paid.len(), groups.agents()), (90, 10, 2));
         let columns = &method.columns;
         for record in 0..90 {
             let seen = |of: &[Vec<f32>]| -> Vec<f32> {
                 of.iter().flat_map(|own| &own[record * 15..][..15]).copied().collect()
             };
-            let (before, after) = (seen(&batch.records.observations), seen(&batch.records.next));
+            let (before, after) = (seen(&batch.observations), seen(&batch.next));
             for (seen, states) in [(&before, &batch.states[0]), (&after, &batch.states[1])] {
-                let mut state = Vec::new();
-                columns.write_state(seen, &mut state);
+                let (mut state, mut rows) = (Vec::new(), SparseRows::default());
+                seen.chunks_exact(15).for_each(|row| rows.push_dense(row));
+                columns.write_state(&rows, &mut state);
                 assert_eq!((state.len(), &states[record * 102..][..102]), (102, &state[..]));
             }
-            for (agent, cell) in columns.cells(&after).enumerate() {
+            let mut rows = SparseRows::default();
+            after.chunks_exact(15).for_each(|row| rows.push_dense(row));
+            for (agent, cell) in columns.cells(&rows).enumerate() {
                 let novelties = method.counts.novelties(cell);
                 for (head, kind) in Intrinsic::CHOSEN.into_iter().enumerate() {
                     let place = agent * 5 + head;
                     let deviation = method.moments[place].variance.sqrt() as f32;
                     let want = kind.reward(novelties, 0.0, agent) / deviation;
-                    assert_eq!(batch.own[place][record], want);
+                    assert_eq!(batch.paid[place][record], want);
                 }
             }
             // The team's reward as it is: a step costs 0.2.
-            let rewards = [0, 1].map(|agent| batch.records.rewards[agent][record]);
-            assert!(rewards == [-0.2; 2] && batch.records.discounts[0][record] == 1.0);
+            let rewards = [0, 1].map(|agent| batch.rewards[agent][record]);
+            assert!(rewards == [-0.2; 2] && batch.discounts[0][record] == 0.99);
         }
     }
 
@@ -436,10 +417,9 @@ mod tests {
         let thoughts = team.thoughts(&scenes, &actions);
         assert_eq!(thoughts.len(), 2);
         assert_eq!(team.visits()[1].iter().sum::<u32>(), 120 + 3);
-        let mut seen = Vec::new();
-        let groups = &method.learner.groups;
-        observe(&*world, groups, &state, &mut Observation::default(), &mut seen);
-        let cells: Vec<u16> = method.columns.cells(&seen).collect();
+        let mut seen = Observation::default();
+        world.observe(&state, 0, EntitySet::MAX, &mut seen);
+        let cells: Vec<u16> = method.columns.cells(&seen.rows).collect();
         for (agent, thought) in thoughts.iter().enumerate() {
             assert_eq!(best(&thought.scores), u32::from(actions[agent]));
             assert_eq!(thought.heads.len(), 5);
@@ -476,11 +456,11 @@ mod tests {
             method.remember(&transition).unwrap();
         };
         for (instance, reward) in [(0, 5.0), (1, 7.0)] {
-            method.episodes[instance] = Episode { discounted: 1.0, discount: 0.5 };
+            method.episodes[instance] = Discounted { sum: 1.0, factor: 0.5 };
             end(&mut method, instance, reward);
         }
         assert_eq!((&method.meta, &method.turn[..]), (&first, &[3.5, 4.5][..]));
-        method.episodes[2] = Episode { discounted: 1.0, discount: 0.5 };
+        method.episodes[2] = Discounted { sum: 1.0, factor: 0.5 };
         end(&mut method, 2, 8.0);
         assert!(method.turn.is_empty());
         assert!((method.meta.returns[first.head].mean - 13.0 / 3.0).abs() < 1e-3);

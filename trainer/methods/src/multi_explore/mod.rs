@@ -1,5 +1,6 @@
 //! The published learner of MA-Exp (Iqbal and Sha 2019; dissertation chapter 4), the preset `paper`: networks with a head for each type of intrinsic reward, and a meta-policy between heads.
 
+mod critic;
 mod meta;
 mod method;
 
@@ -9,21 +10,25 @@ use sortie_learn::configuration::SHARE;
 use sortie_learn::{sections, words};
 use toml::Table;
 
-use crate::actor_critic::losses::Step;
+use sortie_nn::optimise::AdamRules;
+
+use crate::actor_critic::rules::Rules;
 use crate::novelty::{Columns, Intrinsic, Types};
 
-pub use crate::actor_critic::acting::{Policies, PolicyShape};
-pub use crate::actor_critic::batch::Batch;
+pub use crate::actor_critic::critic::Batch;
 pub use crate::actor_critic::groups::{Draw, Group, Groups, Rows};
-pub use crate::actor_critic::heads::{
-    HeadBatch, HeadCritic, HeadCriticShape, HeadLearner, HeadRules,
-};
+pub use crate::actor_critic::learner::ActorCritic;
+pub use crate::actor_critic::policies::{Policies, PolicyShape};
+pub use crate::actor_critic::rules::{OwnActions, PolicyValues};
+pub use critic::{HeadCritic, HeadCriticShape};
 pub use meta::{MetaPolicy, Moments};
 pub use method::MultiExplore;
 
 const ANY: Range = Number(0.0, 1e6);
 const WIDTH: Range = Whole(4, 1024);
 const SIZE: Range = Whole(1, 20_000_000);
+/// Records of a shard of an update: a critic of many heads has more weights than records.
+const SHARD: usize = 256;
 
 sections! {
     /// Sizes and rates; the default is the preset `paper`, whose episodes of a turn are its instances.
@@ -127,16 +132,30 @@ pub(crate) fn is_networks(own: &Table) -> bool {
 }
 
 impl Config {
-    /// The networks for an environment before their first update; none where it shows no places.
-    pub fn learner(&self, spec: &Spec, threads: usize, random: &mut Random) -> Option<HeadLearner> {
+    /// Critic and policies for an environment before their first update; none where it shows no places.
+    pub fn learner(&self, spec: &Spec, threads: usize, random: &mut Random) -> Option<ActorCritic> {
         let groups = Groups::new(spec, false, false);
-        let critic = HeadCriticShape {
-            state: groups.agents() * Columns::of(spec)?.of_state(),
-            width: self.network.critic_width,
-            paid: self.heads().iter().map(Option::is_some).collect(),
-        };
-        let shapes = (self.policy_shape(), &critic);
-        Some(HeadLearner::new(self.rules(), shapes, groups, threads, random))
+        let state = groups.agents() * Columns::of(spec)?.of_state();
+        Some(self.learner_of(groups, state, threads, random))
+    }
+
+    /// The same for agents, each a group of its own, in states of so many numbers.
+    pub fn learner_of(
+        &self,
+        groups: Groups,
+        state: usize,
+        threads: usize,
+        random: &mut Random,
+    ) -> ActorCritic {
+        let (network, heads) = (&self.network, self.heads());
+        let paid = heads.iter().map(Option::is_some).collect();
+        let critic = HeadCriticShape { state, width: network.critic_width, paid };
+        let widths = [network.base_width, network.head_width];
+        let policies = PolicyShape { widths, heads: heads.len(), slope: 0.0 };
+        let (critic, weights) = HeadCritic::new(&critic, &groups, random);
+        let policies = Policies::new(policies, &groups, random);
+        let critic = (Box::new(critic) as Box<_>, weights);
+        ActorCritic::new(self.rules(), groups, critic, policies, false, threads)
     }
 
     /// What each head is paid for.
@@ -149,27 +168,21 @@ impl Config {
     }
 
     /// How networks learn.
-    pub fn rules(&self) -> HeadRules {
+    fn rules(&self) -> Rules {
         let (returns, optimiser) = (&self.returns, &self.optimiser);
-        let OptimiserConfig { epsilon, early_epsilon, .. } = *optimiser;
-        let step = |rate, decay| Step { rate, decay, epsilon, early_epsilon };
-        HeadRules {
-            discounts: [returns.discount, returns.intrinsic_discount],
-            entropy: returns.entropy,
-            own_weight: returns.intrinsic_weight,
-            score_penalty: optimiser.score_penalty,
-            steps: [
-                step(optimiser.critic_rate, optimiser.weight_decay),
-                step(optimiser.policy_rate, 0.0),
-            ],
+        let OptimiserConfig { epsilon, early_epsilon, weight_decay: decay, .. } = *optimiser;
+        Rules {
+            own_actions: OwnActions::Drawn,
+            policy_values: PolicyValues::Fresh,
+            lambda: 0.0,
+            paid_discount: returns.intrinsic_discount,
+            paid_weight: returns.intrinsic_weight,
+            penalties: [0.0, optimiser.score_penalty],
+            rates: [optimiser.critic_rate, optimiser.policy_rate],
+            adam: AdamRules { epsilon, early_epsilon, decay },
             clips: [optimiser.critic_clip, optimiser.policy_clip],
-            target_rate: optimiser.target_rate,
+            follow: [optimiser.target_rate, 1.0],
+            shard: SHARD,
         }
-    }
-
-    /// The policies' sizes.
-    pub fn policy_shape(&self) -> PolicyShape {
-        let widths = [self.network.base_width, self.network.head_width];
-        PolicyShape { widths, heads: self.heads().len(), slope: 0.0 }
     }
 }

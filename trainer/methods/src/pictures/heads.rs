@@ -7,10 +7,9 @@ use sortie_learn::configuration::OptimiserConfig;
 use sortie_learn::run::UpdateReport;
 use sortie_learn::state::Tensor;
 use sortie_learn::{LearnError, State};
-use sortie_nn::optimise::{Adam, clip_norm, move_towards};
+use sortie_nn::optimise::{Adam, AdamRules, clip_norm, move_towards};
 
 use super::network::{Network, NetworkShape};
-use crate::actor_critic::losses::Step;
 
 /// A value and advantages of all actions for each goal (Wang et al. 2016).
 #[derive(Clone, Copy, Debug)]
@@ -124,9 +123,8 @@ impl Learner {
         loss: f64,
     ) -> UpdateReport {
         let gradient_norm = clip_norm(&mut self.gradient, config.clip);
-        let step =
-            Step { rate: learning_rate, decay, epsilon: config.epsilon, early_epsilon: false };
-        step.take(&mut self.adam, &mut self.online, &self.gradient);
+        let rules = AdamRules { epsilon: config.epsilon, early_epsilon: false, decay };
+        self.adam.step_by(rules, &mut self.online, &self.gradient, learning_rate);
         self.gradient.fill(0.0);
         move_towards(&mut self.target, &self.online, config.target_rate);
         move_towards(&mut self.average, &self.online, config.average_rate);

@@ -5,8 +5,7 @@ use serde_json::Value;
 use sortie_envs::random::generator;
 use sortie_methods::ma_exp::Types;
 use sortie_methods::ma_exp::networks::{
-    Batch, Config, Draw, Group, Groups, HeadBatch, HeadCriticShape, HeadLearner, MetaPolicy,
-    Moments, Rows,
+    ActorCritic, Batch, Config, Draw, Group, Groups, MetaPolicy, Moments, Rows,
 };
 use sortie_nn::tape::Parameters;
 
@@ -89,11 +88,11 @@ impl Recorded {
         (0..AGENTS).map(of_agent).collect()
     }
 
-    fn batch(&self, round: usize) -> HeadBatch {
+    fn batch(&self, round: usize) -> Batch {
         let input = |name: &str| self.input(round, name);
         let observed = |name: &str| self.of_agents(|agent| input(&format!("{name}{agent}")));
         let (rewards, done) = (input("rew"), input("done"));
-        let goes_on: Vec<f32> = done.iter().map(|done| 1.0 - done).collect();
+        let discounts: Vec<f32> = done.iter().map(|done| 0.99 * (1.0 - done)).collect();
         let records = rewards.len();
         let whole = |numbers: Vec<f32>| numbers.into_iter().map(|number| number as u32).collect();
         // By types and agents there, by agents and heads here.
@@ -103,18 +102,16 @@ impl Recorded {
             let start = (head * AGENTS + agent) * records;
             paid.get(start..start + records).unwrap_or_default().to_vec()
         });
-        HeadBatch {
-            own: own.collect(),
+        Batch {
+            paid: own.collect(),
             states: ["state", "next_state"].map(input),
-            records: Batch {
-                records,
-                observations: observed("obs"),
-                actions: self.of_agents(|agent| whole(input(&format!("act{agent}")))),
-                rewards: vec![rewards; AGENTS],
-                discounts: vec![goes_on; AGENTS],
-                next: observed("next_obs"),
-                follows: Vec::new(),
-            },
+            records,
+            observations: observed("obs"),
+            actions: self.of_agents(|agent| whole(input(&format!("act{agent}")))),
+            rewards: vec![rewards; AGENTS],
+            discounts: vec![discounts; AGENTS],
+            next: observed("next_obs"),
+            follows: Vec::new(),
         }
     }
 
@@ -125,23 +122,19 @@ impl Recorded {
         drawn.chunks_exact(records).map(|own| own.iter().map(|a| *a as u32).collect()).collect()
     }
 
-    fn learner(&self, threads: usize) -> HeadLearner {
+    fn learner(&self, threads: usize) -> ActorCritic {
         let group = |agent: usize| Group {
             agents: agent..agent + 1,
             observed: 7,
             identity: false,
             actions: ACTIONS,
         };
-        let critic = HeadCriticShape { state: 12, width: 16, paid: vec![self.paid; self.heads] };
         let groups = Groups((0..AGENTS).map(group).collect());
-        let (rules, shapes) = (self.config.rules(), (self.config.policy_shape(), &critic));
-        let mut learner = HeadLearner::new(rules, shapes, groups, threads, &mut generator(1));
-        learner.critic.parameters.values = self.weights("init/", &learner.critic.parameters);
-        learner.policies.parameters.values = self.weights("init/", &learner.policies.parameters);
-        let target = self.weights("init/target_", &learner.critic.parameters);
-        learner.target_critic.copy_from_slice(&target);
-        let target = self.weights("init/target_", &learner.policies.parameters);
-        learner.target_policies.copy_from_slice(&target);
+        let mut learner = self.config.learner_of(groups, 12, threads, &mut generator(1));
+        for learner in [&mut learner.critic_learner, &mut learner.policy_learner] {
+            learner.target = self.weights("init/target_", &learner.online);
+            learner.online.values = self.weights("init/", &learner.online);
+        }
         learner
     }
 }
@@ -181,7 +174,8 @@ fn rounds_give_the_recorded_losses_gradients_and_weights() {
         for round in 0..rounds {
             let actions = ["next_act", "act"].map(|name| recorded.drawn(round, name)).to_vec();
             let mut given = Given { actions, scores: Vec::new() };
-            let report = learner.update(&recorded.batch(round), &mut given);
+            let entropy = recorded.config.returns.entropy;
+            let report = learner.update(&mut recorded.batch(round), entropy, &mut given);
             let of = format!("update{round}/grad/");
             let name = |kind: &str| format!("{}, {of}, {kind}", recorded.case.name);
             let logs = &recorded.logs[round];
@@ -190,10 +184,12 @@ fn rounds_give_the_recorded_losses_gradients_and_weights() {
             assert!((report.loss - loss).abs() < 1e-6 * loss, "{} {loss}", report.loss);
             let norm = logged("grad_norms/critic");
             assert!((f64::from(report.gradient_norm) - norm).abs() < 1e-6 * norm, "{norm}");
-            let want = recorded.weights(&of, &learner.critic.parameters);
-            assert_close(&name("critic"), &learner.critic_gradient, &want, 1e-6);
-            let want = recorded.weights(&of, &learner.policies.parameters);
-            assert_close(&name("policies"), &learner.policy_gradient, &want, 1e-6);
+            for (kind, learner) in
+                [("critic", &learner.critic_learner), ("policies", &learner.policy_learner)]
+            {
+                let want = recorded.weights(&of, &learner.online);
+                assert_close(&name(kind), learner.gradient(), &want, 1e-6);
+            }
             for agent in 0..AGENTS {
                 let name = format!("update{round}/fwd/logits_agent{agent}");
                 let scores = &given.scores[1][agent * recorded.heads..][..recorded.heads];
@@ -201,14 +197,12 @@ fn rounds_give_the_recorded_losses_gradients_and_weights() {
             }
         }
         let name = |kind: &str| format!("{}, {kind}", recorded.case.name);
-        let (critic, policies) = (&learner.critic.parameters, &learner.policies.parameters);
-        for (of, got, parameters) in [
-            ("final/", &critic.values, critic),
-            ("final/", &policies.values, policies),
-            ("final/target_", &learner.target_critic, critic),
-            ("final/target_", &learner.target_policies, policies),
-        ] {
-            assert_close(&name(of), got, &recorded.weights(of, parameters), 1e-6);
+        for learner in [&learner.critic_learner, &learner.policy_learner] {
+            for (of, got) in
+                [("final/", &learner.online.values), ("final/target_", &learner.target)]
+            {
+                assert_close(&name(of), got, &recorded.weights(of, &learner.online), 1e-6);
+            }
         }
     }
 }
@@ -273,23 +267,21 @@ fn any_number_of_threads_finds_the_same_bits() {
     let (recorded, _) = &recordings()[0];
     let small = recorded.batch(0);
     let times = |numbers: &Vec<f32>| numbers.repeat(40);
-    let batch = HeadBatch {
-        records: Batch {
-            records: 40 * small.records.records,
-            observations: small.records.observations.iter().map(times).collect(),
-            actions: small.records.actions.iter().map(|actions| actions.repeat(40)).collect(),
-            rewards: small.records.rewards.iter().map(times).collect(),
-            discounts: small.records.discounts.iter().map(times).collect(),
-            next: small.records.next.iter().map(times).collect(),
-            follows: Vec::new(),
-        },
+    let batch = Batch {
+        records: 40 * small.records,
+        observations: small.observations.iter().map(times).collect(),
+        actions: small.actions.iter().map(|actions| actions.repeat(40)).collect(),
+        rewards: small.rewards.iter().map(times).collect(),
+        discounts: small.discounts.iter().map(times).collect(),
+        next: small.next.iter().map(times).collect(),
+        follows: Vec::new(),
         states: small.states.clone().map(|state| state.repeat(40)),
-        own: small.own.iter().map(times).collect(),
+        paid: small.paid.iter().map(times).collect(),
     };
     let learned = |threads: usize| {
         let mut learner = recorded.learner(threads);
-        learner.update(&batch, &mut generator(7));
-        (learner.critic.parameters.values, learner.policies.parameters.values)
+        learner.update(&mut batch.clone(), 0.01, &mut generator(7));
+        [learner.critic_learner, learner.policy_learner].map(|learner| learner.online.values)
     };
     let alone = learned(1);
     assert!(alone == learned(2) && alone == learned(5));

@@ -1,7 +1,7 @@
 //! MAAC's update against recorded rounds of the public code (`tests/golden/networks-maac`).
 
 use sortie_envs::random::generator;
-use sortie_methods::maac::{Batch, Config, Draw, Group, Groups, Learner, Rows};
+use sortie_methods::maac::{ActorCritic, Batch, Config, Draw, Group, Groups, Rows};
 use sortie_nn::tape::Parameters;
 
 use crate::files::{Case, safetensors_case};
@@ -80,7 +80,7 @@ impl Recorded {
             rewards: all("in/rew"),
             discounts: discounts.collect(),
             next: all("in/next_obs"),
-            follows: Vec::new(),
+            ..Batch::default()
         }
     }
 
@@ -89,19 +89,18 @@ impl Recorded {
         (0..AGENTS).map(of_agent).collect()
     }
 
-    fn learner(&self) -> Learner {
+    fn learner(&self) -> ActorCritic {
         let mut config = Config::paper();
         config.network.critic_width = 16;
         config.network.policy_width = 16;
         config.network.heads = self.heads;
         config.optimiser.target_rate = self.target_rate;
-        let mut learner = Learner::new(config, self.groups.clone(), 1, &mut generator(1));
-        let critic = self.weights("init/", &learner.critic.parameters);
-        let policies = self.weights("init/", &learner.policies.parameters);
-        learner.target_critic.copy_from_slice(&critic);
-        learner.target_policies.copy_from_slice(&policies);
-        learner.critic.parameters.values = critic;
-        learner.policies.parameters.values = policies;
+        let mut learner = config.learner(self.groups.clone(), 1, &mut generator(1));
+        for learner in [&mut learner.critic_learner, &mut learner.policy_learner] {
+            let weights = self.weights("init/", &learner.online);
+            learner.target.copy_from_slice(&weights);
+            learner.online.values = weights;
+        }
         learner
     }
 }
@@ -137,32 +136,27 @@ fn rounds_give_the_recorded_gradients_and_weights() {
             learner.update(&mut batch, recorded.entropy, &mut Given(drawn.to_vec()));
             let of = format!("update{round}/grad/");
             let name = |kind: &str| format!("{}, {of}, {kind}", recorded.case.name);
-            let want = recorded.weights(&of, &learner.critic.parameters);
-            assert_close(&name("critic"), &learner.critic_gradient, &want, 1e-6);
-            let want = recorded.weights(&of, &learner.policies.parameters);
-            assert_close(&name("policies"), &learner.policy_gradient, &want, 1e-6);
+            for (kind, learner) in
+                [("critic", &learner.critic_learner), ("policies", &learner.policy_learner)]
+            {
+                let want = recorded.weights(&of, &learner.online);
+                assert_close(&name(kind), learner.gradient(), &want, 1e-6);
+            }
         }
         let name = |kind: &str| format!("{}, {kind}", recorded.case.name);
-        let (critic, policies) = (&learner.critic.parameters, &learner.policies.parameters);
-        assert_close(&name("critic"), &critic.values, &recorded.weights("final/", critic), 1e-6);
-        assert_close(
-            &name("policies"),
-            &policies.values,
-            &recorded.weights("final/", policies),
-            1e-6,
-        );
-        let (critic, policies) = (
-            recorded.weights("final/target_", critic),
-            recorded.weights("final/target_", policies),
-        );
-        assert_close(&name("target critic"), &learner.target_critic, &critic, 1e-6);
-        assert_close(&name("target policies"), &learner.target_policies, &policies, 1e-6);
-        assert_eq!(learner.average_policies, learner.policies.parameters.values);
+        for (kind, learner) in
+            [("critic", &learner.critic_learner), ("policies", &learner.policy_learner)]
+        {
+            let want = |of: &str| recorded.weights(of, &learner.online);
+            assert_close(&name(kind), &learner.online.values, &want("final/"), 1e-6);
+            assert_close(&name(kind), &learner.target, &want("final/target_"), 1e-6);
+            assert_eq!(learner.average, learner.online.values);
+        }
         for agent in 0..AGENTS {
             let seen = |numbers: &[f64]| numbers.iter().map(|x| *x as f32).collect::<Vec<f32>>();
             let of =
                 |name: &str| recorded.case.get(&format!("final/policy{agent}/in_fn.{name}")).f32s();
-            let running = &learner.running;
+            let running = learner.running.as_ref().unwrap();
             assert_close(&name("means"), &seen(&running.means[agent]), &of("running_mean"), 1e-6);
             let variances = seen(&running.variances[agent]);
             assert_close(&name("variances"), &variances, &of("running_var"), 1e-6);

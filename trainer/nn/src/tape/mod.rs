@@ -4,31 +4,30 @@
 //! all steps lie in an arena that keeps its memory, so that a steady stream of passes allocates nothing but what
 //! the products' kernels pack and give back at once.
 //!
-//! A network, its loss and an update, in chunks of [`ROWS`](chunks::ROWS) rows whose gradients are added in their
-//! order, so that any number of threads gives the same bits:
+//! A network, its loss and an update:
 //!
 //! ```
-//! # use sortie_nn::{optimise::Adam, random::stream, tape::{Chunks, Parameters}};
-//! # let (rows, threads) = (300, 2);
+//! # use sortie_nn::{optimise::Adam, random::stream, tape::{Parameters, Tape}};
+//! # let rows = 30;
 //! # let (seen, actions, targets) = (vec![0.5; rows * 6], vec![1; rows], vec![0.25; rows]);
 //! let mut parameters = Parameters::default();
 //! let mut random = stream(1, 1, 0);
 //! let (hidden, head) = (parameters.linear("hidden", 6, 32, &mut random), parameters.linear("head", 32, 4, &mut random));
 //! let mut adam = Adam::new(parameters.values.len(), 1e-5);
 //! let mut gradient = vec![0.0; parameters.values.len()];
-//! let loss = Chunks::default().gradient(threads, &parameters.values, rows, &mut gradient, |tape, range| {
-//!     let x = tape.input(6, &seen[range.start * 6..range.end * 6]);
-//!     let x = tape.linear_rectified(x, hidden);
-//!     let utilities = tape.linear(x, head);
-//!     let chosen = tape.pick(utilities, &actions[range.clone()]);
-//!     tape.squared_error(chosen, &targets[range], 1.0 / rows as f32)
-//! });
+//! let mut tape = Tape::default();
+//! let mut pass = tape.begin(&parameters.values);
+//! let x = pass.input(6, &seen);
+//! let x = pass.linear_rectified(x, hidden);
+//! let utilities = pass.linear(x, head);
+//! let chosen = pass.pick(utilities, &actions);
+//! let loss = pass.squared_error(chosen, &targets, 1.0 / rows as f32);
+//! pass.backward(loss, &mut gradient);
 //! adam.step(&mut [&mut parameters.values], &gradient, 1e-3);
-//! # assert!(loss > 0.0 && gradient.iter().any(|slope| *slope != 0.0));
+//! # assert!(gradient.iter().any(|slope| *slope != 0.0));
 //! ```
 
 mod backward;
-pub mod chunks;
 mod groups;
 mod layers;
 mod matrices;
@@ -47,7 +46,6 @@ use crate::layers::team_attention::Sums;
 use crate::layers::unfold::UnfoldShape;
 use crate::layers::{SparseRows, SplitLists, TeamLists, VisibleLists};
 
-pub use chunks::Chunks;
 pub use parameters::{Gru, Linear, Norm, Parameters, Places, Tensor};
 
 /// A matrix that a pass has computed.

@@ -329,12 +329,18 @@ impl Pass<'_> {
 
     /// The columns of several matrices beside each other.
     pub fn concat(&mut self, parts: &[Var]) -> Var {
+        if let [whole] = parts {
+            return *whole;
+        }
         let parts = self.tape.store_indices(parts.iter().map(|part| part.0));
         self.join_columns(parts)
     }
 
     /// The rows of several matrices behind each other.
     pub fn stack(&mut self, parts: &[Var]) -> Var {
+        if let [whole] = parts {
+            return *whole;
+        }
         let columns = parts.first().map_or(1, |part| self.size(*part)[1]);
         let first = self.tape.indices.len() as u32;
         for part in parts {

@@ -377,47 +377,6 @@ fn what_is_detached_gets_no_slopes() {
 }
 
 #[test]
-fn any_number_of_threads_gives_the_same_gradient() {
-    let drawn = &mut stream(3, 1, 0);
-    let mut p = Parameters::default();
-    let (hidden, head) = (p.linear("hidden", 6, 16, drawn), p.linear("head", 16, 3, drawn));
-    let rows = 3 * chunks::ROWS + 7;
-    let (x, targets) = (random(1, 6 * rows), random(2, 3 * rows));
-    let gradient = |threads: usize| {
-        let mut gradient = vec![0.0; p.values.len()];
-        let mut chunks = Chunks::default();
-        let loss = chunks.gradient(threads, &p.values, rows, &mut gradient, |t, range| {
-            let x = t.input(6, &x[range.start * 6..range.end * 6]);
-            let x = t.linear_rectified(x, hidden);
-            let y = t.linear(x, head);
-            t.squared_error(y, &targets[range.start * 3..range.end * 3], 1.0 / rows as f32)
-        });
-        (loss, gradient)
-    };
-    let one = gradient(1);
-    assert!(one.0 > 0.0);
-    assert_eq!(one, gradient(2));
-    assert_eq!(one, gradient(4));
-}
-
-#[test]
-fn chunks_may_have_other_numbers_of_rows() {
-    let mut p = Parameters::default();
-    let layer = p.linear("layer", 1, 1, &mut stream(3, 1, 0));
-    for (rows, sizes) in [(700, vec![300, 300, 100]), (300, vec![300]), (1, vec![1])] {
-        let x: Vec<f32> = (0..rows).map(|row| row as f32).collect();
-        let found = std::sync::Mutex::new(Vec::new());
-        let mut values = Vec::new();
-        Chunks::of_rows(300).values(1, &p.values, rows, &mut values, |t, range| {
-            found.lock().unwrap().push(range.len());
-            let x = t.input(1, &x[range]);
-            vec![x, t.linear(x, layer)]
-        });
-        assert_eq!((found.into_inner().unwrap(), &values[0]), (sizes, &x));
-    }
-}
-
-#[test]
 fn tensors_have_names_shapes_and_places() {
     let mut p = Parameters::default();
     p.linear("fc", 3, 2, &mut stream(3, 1, 0));
