@@ -70,6 +70,8 @@ pub struct Rules {
     pub epsilon: f32,
     /// Largest norm of the gradient; a longer one is shortened.
     pub clip: f32,
+    /// What a weight adds to its slope, behind that: it draws weights to zero.
+    pub decay: f32,
     /// Updates from one move of the target network to the next.
     pub target_every: u64,
     /// How far it moves then: a share of the way; 1: it becomes a copy.
@@ -81,7 +83,8 @@ pub struct Rules {
 impl From<&OptimiserConfig> for Rules {
     fn from(config: &OptimiserConfig) -> Self {
         let OptimiserConfig { epsilon, clip, target_rate, average_rate, .. } = *config;
-        Self { rule: Rule::Adam, epsilon, clip, target_every: 1, target_rate, average_rate }
+        let (rule, decay, target_every) = (Rule::Adam, 0.0, 1);
+        Self { rule, epsilon, clip, decay, target_every, target_rate, average_rate }
     }
 }
 
@@ -90,6 +93,9 @@ impl Default for Rules {
         Self::from(&OptimiserConfig::default())
     }
 }
+
+/// What counts as zero where weights decay.
+const NOTHING: f32 = 1e-20;
 
 /// Networks and optimiser; `S` is what each shard keeps from one update to the next.
 #[derive(Debug)]
@@ -203,7 +209,13 @@ impl<S: Default + Send> Learner<S> {
             first.reported += other.reported;
         }
         let gradient_norm = clip_norm(&mut first.gradient, rules.clip);
+        if rules.decay > 0.0 {
+            elementwise::scale(rules.decay, &online.values, Store::Add, &mut first.gradient);
+        }
         optimiser.step(&mut online.values, &first.gradient, learning_rate);
+        if rules.decay > 0.0 {
+            optimiser.forget_least(&mut online.values);
+        }
         *updates += 1;
         if updates.is_multiple_of(rules.target_every) {
             come_nearer(target, &online.values, rules.target_rate);
@@ -212,20 +224,38 @@ impl<S: Default + Send> Learner<S> {
         UpdateReport { loss: first.reported, gradient_norm }
     }
 
+    /// What shards keep, in their order; the last update may have had fewer.
+    pub fn spaces(&self) -> impl Iterator<Item = &S> {
+        self.lanes.iter().map(|lane| &lane.space)
+    }
+
+    /// Targets are computed by the weights of now, whatever the rules say.
+    pub fn copy_to_target(&mut self) {
+        self.target.copy_from_slice(&self.online.values);
+    }
+
     /// Names everything that later updates depend on.
     ///
     /// # Errors
     /// A checkpoint has other tensors.
     pub fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        self.state_of("", state)
+    }
+
+    /// The same where a run has several learners: `prefix` stands before all names, as in `critic/`.
+    ///
+    /// # Errors
+    /// A checkpoint has other tensors.
+    pub fn state_of(&mut self, prefix: &str, state: &mut State<'_>) -> Result<(), LearnError> {
         let tensors = self.online.tensors().to_vec();
         let Self { online, target, average, .. } = self;
         for (name, vector) in
             [("online", &mut online.values), ("target", target), ("average", average)]
         {
-            state.tensors(name, &tensors, vector)?;
+            state.tensors(&format!("{prefix}{name}"), &tensors, vector)?;
         }
-        self.optimiser.state(state, &tensors)?;
-        state.value("updates", &mut self.updates)
+        self.optimiser.state(prefix, state, &tensors)?;
+        state.value(&format!("{prefix}updates"), &mut self.updates)
     }
 }
 
@@ -261,14 +291,31 @@ impl Optimiser {
         }
     }
 
-    fn state(&mut self, state: &mut State<'_>, tensors: &[Tensor]) -> Result<(), LearnError> {
+    /// What weights that nobody needs decay to, and their running means, would become numbers so small that processors
+    /// multiply them a hundred times as slowly.
+    fn forget_least(&mut self, parameters: &mut [f32]) {
+        let means = match self {
+            Self::Adam(adam) => &mut adam.mean[..],
+            Self::RmsProp(_) => &mut [],
+        };
+        let small = parameters.iter_mut().chain(means).filter(|number| number.abs() < NOTHING);
+        small.for_each(|number| *number = 0.0);
+    }
+
+    fn state(
+        &mut self,
+        prefix: &str,
+        state: &mut State<'_>,
+        tensors: &[Tensor],
+    ) -> Result<(), LearnError> {
+        let name = |name: &str| format!("{prefix}{name}");
         match self {
             Self::Adam(adam) => {
-                state.tensors("adam-mean", tensors, &mut adam.mean)?;
-                state.tensors("adam-square", tensors, &mut adam.square)?;
-                state.value("adam-steps", &mut adam.steps)
+                state.tensors(&name("adam-mean"), tensors, &mut adam.mean)?;
+                state.tensors(&name("adam-square"), tensors, &mut adam.square)?;
+                state.value(&name("adam-steps"), &mut adam.steps)
             }
-            Self::RmsProp(rule) => state.tensors("square", tensors, &mut rule.square),
+            Self::RmsProp(rule) => state.tensors(&name("square"), tensors, &mut rule.square),
         }
     }
 }
@@ -343,6 +390,50 @@ mod tests {
     }
 
     #[test]
+    fn weights_that_decay_come_down_to_zero_and_never_to_denormal_numbers() {
+        let still = |decay: f32, weight: f32, clip: f32| {
+            let rules = Rules { decay, clip, epsilon: 1e-8, ..Rules::default() };
+            let mut learner = learner(rules, 1);
+            learner.0.online.values.fill(weight);
+            let loss = |shard: &mut Shard<'_, ()>| {
+                // A loss that depends on no weight.
+                let x = shard.pass.leaf(1, &[1.0]);
+                Loss::of(&mut shard.pass, |pass| pass.sum_rows(x))
+            };
+            for _ in 0..4 {
+                learner.0.update(1, 1e-3, loss);
+            }
+            learner.0.online.values[7]
+        };
+        assert_eq!(still(0.0, 0.3, 1.0), 0.3);
+        // Adam's first steps are of one length, whatever the slope; the norm that is shortened is that of the loss.
+        for clip in [1.0, 1e-30] {
+            assert!((still(1e-3, 0.3, clip) - (0.3 - 4e-3)).abs() < 1e-5);
+        }
+        assert_eq!(still(1e-30, 9e-21, 1.0), 0.0);
+    }
+
+    #[test]
+    fn what_shards_keep_can_be_looked_at_and_targets_are_copied_when_that_is_asked_for() {
+        let (parameters, layers) = {
+            let learner = learner(Rules::default(), 1);
+            (learner.0.online, learner.1)
+        };
+        let rules = Rules { target_rate: 0.0, ..Rules::default() };
+        let mut learner: Learner<Vec<usize>> = Learner::new(parameters, rules, 2);
+        learner.update(3, 0.1, |shard| {
+            shard.space.push(shard.number);
+            let x = shard.pass.input(6, &random(1, 6));
+            let y = shard.pass.linear(x, layers[0]);
+            Loss::of(&mut shard.pass, |pass| pass.squared_error(y, &[0.0; 16], 1.0))
+        });
+        assert!(learner.spaces().eq([&[0][..], &[1], &[2]]));
+        assert!(learner.target != learner.online.values);
+        learner.copy_to_target();
+        assert!(learner.target == learner.online.values);
+    }
+
+    #[test]
     fn the_target_network_moves_every_so_many_updates_and_averages_always() {
         let rules =
             Rules { target_every: 3, target_rate: 1.0, average_rate: 0.25, ..Rules::default() };
@@ -367,14 +458,15 @@ mod tests {
             let (mut one, mut other) = (learner(rules, 1), learner(rules, 1));
             update(&mut one, ROWS);
             let mut written = crate::run::checkpoint::Written::default();
-            one.0.state(&mut State::write(&mut written)).unwrap();
+            one.0.state_of("one/", &mut State::write(&mut written)).unwrap();
+            learner(rules, 1).0.state_of("two/", &mut State::write(&mut written)).unwrap();
             let folder = tempfile::tempdir().unwrap();
             let checkpoints = crate::run::Checkpoints::new(folder.path());
             let place = checkpoints.write(1, &written).unwrap();
             let found =
                 crate::run::Checkpoint::open(&place, crate::run::checkpoint::OpenFor::Resume);
             let (found, values) = (found.unwrap(), written.values);
-            other.0.state(&mut State::read(&found, &values)).unwrap();
+            other.0.state_of("one/", &mut State::read(&found, &values)).unwrap();
             update(&mut one, ROWS);
             update(&mut other, ROWS);
             assert_eq!(one.0.online, other.0.online);
