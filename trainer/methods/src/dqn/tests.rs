@@ -1,6 +1,7 @@
 //! What the agent without goals is paid and learns, beside naive lists.
 
 use sortie_envs::Split;
+use sortie_learn::Learner;
 use sortie_learn::play::Play;
 use sortie_learn::run::EpisodeCounts;
 use sortie_learn::session::Setup;
@@ -77,6 +78,21 @@ fn an_update_is_that_of_a_naive_list() {
             for (_, error) in errors.iter().filter(|it| it.0 == place && exponent > 0.0) {
                 assert!((priority - (error + 0.001).powf(exponent)).abs() < 1e-4);
             }
+        }
+    }
+}
+
+#[test]
+fn targets_are_copied_every_so_many_updates_or_move_in_every_one() {
+    for (every, copied) in [(2, [false, true, false]), (0, [false; 3])] {
+        let keys = [&*format!("returns.target_every={every}"), "optimiser.target_rate=0.5"];
+        let (mut dqn, world) = played(300, &keys);
+        for copied in copied {
+            let before = dqn.agent.learner.target.clone();
+            dqn.learn(&*world, Now { env_steps: 1, of: 2 }, &mut Reports::default());
+            let Learner { online, target, .. } = &dqn.agent.learner;
+            assert_eq!(*target == online.values, copied, "{every}");
+            assert_eq!(*target == before, every > 0 && !copied, "{every}");
         }
     }
 }

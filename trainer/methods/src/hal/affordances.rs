@@ -508,6 +508,20 @@ mod tests {
     }
 
     #[test]
+    fn neighbours_are_other_states_of_the_same_option() {
+        let (start, mut random) = (Place::default().after(7), sortie_envs::random::generator(1));
+        let sample = |steps| Sample { start, step: 2, steps, parity: true };
+        let mut steps: Vec<usize> = (0..200)
+            .map(|_| neighbour(sample(6), 2.0, &mut random).unwrap().since(start))
+            .collect();
+        steps.sort_unstable();
+        steps.dedup();
+        assert_eq!(steps, [0, 1, 3, 4, 5]);
+        let alone = Sample { step: 0, ..sample(1) };
+        assert_eq!(neighbour(alone, 2.0, &mut random), None);
+    }
+
+    #[test]
     fn tolerances_agree_with_the_table_of_the_public_code() {
         for (numbers, want) in [
             (1, 2.9307),

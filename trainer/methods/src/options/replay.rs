@@ -312,4 +312,21 @@ mod tests {
         }
         assert!(seen[0] > 240 && (190..260).contains(&seen[1]), "{seen:?}");
     }
+
+    /// Every second state is one that an episode ended in, and takes the place of a step once the ring is full.
+    #[test]
+    fn states_in_which_nothing_was_done_are_not_drawn_by_priorities() {
+        let (mut replay, world) = (Replay::new(1, 5, 2).by_priority(0.5, 3), naive::world());
+        let mut random = sortie_envs::random::generator(1);
+        for number in 0..20 {
+            let note = Note { reached: NONE, ends_option: true, ..Note::default() };
+            let start = keep(&mut replay, &*world, (0, &[number]), (0, note), End::Over);
+            let (goal, reached, end) = (0, NONE, End::Over);
+            replay.finish(Finished { start, steps: 1, goal, reached, mask: 3, end });
+            for _ in 0..50 {
+                let place = replay.draw(0.0, &mut random).0;
+                assert_eq!(replay.steps.end(place), End::Over, "{number}");
+            }
+        }
+    }
 }
