@@ -66,7 +66,7 @@ crate::words! {
 pub struct Rules {
     /// How weights follow the gradient.
     pub rule: Rule,
-    /// What Adam adds to its denominator, and to the gradient.
+    /// What Adam adds to its denominator, and behind the shortening to the gradient.
     pub adam: AdamRules,
     /// Largest norm of the gradient; a longer one is shortened.
     pub clip: f32,
@@ -256,6 +256,11 @@ impl<S: Default + Send> Learner<S> {
         self.lanes.iter().map(|lane| &lane.space)
     }
 
+    /// Targets are computed by the weights of now, whatever the rules say.
+    pub fn copy_to_target(&mut self) {
+        self.target.copy_from_slice(&self.online.values);
+    }
+
     /// The gradient of the last update, as the optimiser saw it; empty before the first.
     pub fn gradient(&self) -> &[f32] {
         self.lanes.first().map_or(&[], |lane| &lane.gradient)
@@ -418,6 +423,51 @@ mod tests {
     }
 
     #[test]
+    fn weights_that_decay_come_down_to_zero_and_never_to_denormal_numbers() {
+        let still = |decay: f32, weight: f32, clip: f32| {
+            let adam = AdamRules { decay, epsilon: 1e-8, ..AdamRules::default() };
+            let rules = Rules { adam, clip, ..Rules::default() };
+            let mut learner = learner(rules, 1);
+            learner.0.online.values.fill(weight);
+            let loss = |shard: &mut Shard<'_, ()>| {
+                // A loss that depends on no weight.
+                let x = shard.pass.leaf(1, &[1.0]);
+                Loss::of(&mut shard.pass, |pass| pass.sum_rows(x))
+            };
+            for _ in 0..4 {
+                learner.0.update(1, 1e-3, loss);
+            }
+            learner.0.online.values[7]
+        };
+        assert_eq!(still(0.0, 0.3, 1.0), 0.3);
+        // Adam's first steps are of one length, whatever the slope; the norm that is shortened is that of the loss.
+        for clip in [1.0, 1e-30] {
+            assert!((still(1e-3, 0.3, clip) - (0.3 - 4e-3)).abs() < 1e-5);
+        }
+        assert_eq!(still(1e-30, 9e-21, 1.0), 0.0);
+    }
+
+    #[test]
+    fn what_shards_keep_can_be_looked_at_and_targets_are_copied_when_that_is_asked_for() {
+        let (parameters, layers) = {
+            let learner = learner(Rules::default(), 1);
+            (learner.0.online, learner.1)
+        };
+        let rules = Rules { target_rate: 0.0, ..Rules::default() };
+        let mut learner: Learner<Vec<usize>> = Learner::new(parameters, rules, 2);
+        learner.update(3, 0.1, |shard| {
+            shard.space.push(shard.number);
+            let x = shard.pass.input(6, &random(1, 6));
+            let y = shard.pass.linear(x, layers[0]);
+            Loss::of(&mut shard.pass, |pass| pass.squared_error(y, &[0.0; 16], 1.0))
+        });
+        assert!(learner.spaces().eq([&[0][..], &[1], &[2]]));
+        assert!(learner.target != learner.online.values);
+        learner.copy_to_target();
+        assert!(learner.target == learner.online.values);
+    }
+
+    #[test]
     fn the_target_network_moves_every_so_many_updates_and_averages_always() {
         let rules =
             Rules { target_every: 3, target_rate: 1.0, average_rate: 0.25, ..Rules::default() };
@@ -500,14 +550,17 @@ mod tests {
             let (mut one, mut other) = (learner(rules, 1), learner(rules, 1));
             update(&mut one, ROWS);
             let mut written = crate::run::checkpoint::Written::default();
-            one.0.state(&mut State::write(&mut written)).unwrap();
+            let name = |part: &str| format!("one/{part}");
+            one.0.state_as(&mut State::write(&mut written), name).unwrap();
+            let second = |part: &str| format!("two/{part}");
+            learner(rules, 1).0.state_as(&mut State::write(&mut written), second).unwrap();
             let folder = tempfile::tempdir().unwrap();
             let checkpoints = crate::run::Checkpoints::new(folder.path());
             let place = checkpoints.write(1, &written).unwrap();
             let found =
                 crate::run::Checkpoint::open(&place, crate::run::checkpoint::OpenFor::Resume);
             let (found, values) = (found.unwrap(), written.values);
-            other.0.state(&mut State::read(&found, &values)).unwrap();
+            other.0.state_as(&mut State::read(&found, &values), name).unwrap();
             update(&mut one, ROWS);
             update(&mut other, ROWS);
             assert_eq!(one.0.online, other.0.online);

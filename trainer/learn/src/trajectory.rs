@@ -5,6 +5,9 @@
 //! in which an episode ended follows its last step; in it nothing was done. A [`Place`] names a state, and what a learner
 //! needs of the future is read from there on: how many steps, which discount is chosen when it is drawn.
 //!
+//! What a learner wants to know of a step besides, it [notes](Trajectories::push_noted) there: an `N`, which may be changed
+//! later.
+//!
 //! What is kept is so many states of each instance, or so many whole episodes, the latest of all instances. Memory that
 //! became free is used again: once the buffer is full, it allocates nothing.
 //!
@@ -35,8 +38,11 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod priorities;
+
 use std::collections::VecDeque;
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sortie_envs::Random;
 use sortie_envs::random::below;
@@ -44,6 +50,8 @@ use sortie_envs::random::below;
 use crate::error::LearnError;
 use crate::method::Transition;
 use crate::state::State;
+
+pub use priorities::{Priorities, importance};
 
 /// States that are stored, and forgotten, together.
 const BLOCK: u64 = 256;
@@ -120,6 +128,11 @@ pub struct Episode {
 }
 
 impl Place {
+    /// The number of the instance.
+    pub fn instance(self) -> usize {
+        self.instance as usize
+    }
+
     /// The state so many steps later.
     pub fn after(self, steps: usize) -> Self {
         Self { number: self.number + steps as u64, ..self }
@@ -133,10 +146,10 @@ impl Place {
 
 /// The replay buffer.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Trajectories {
+pub struct Trajectories<N = ()> {
     capacity: Capacity,
     widths: Widths,
-    streams: Vec<Stream>,
+    streams: Vec<Stream<N>>,
     /// The latest whole episodes, in the order in which they ended.
     episodes: VecDeque<Episode>,
     /// Episodes that have ended since the run began.
@@ -155,8 +168,9 @@ struct Earned {
 
 /// The states of one instance.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-struct Stream {
-    blocks: VecDeque<Block>,
+#[serde(bound(deserialize = "N: Deserialize<'de>"))]
+struct Stream<N> {
+    blocks: VecDeque<Block<N>>,
     /// Number of the first state in the first block.
     first: u64,
     /// Number of the first state that is kept.
@@ -167,24 +181,38 @@ struct Stream {
     running: u64,
     /// Blocks to be used again.
     #[serde(skip)]
-    spare: Vec<Block>,
+    spare: Vec<Block<N>>,
 }
 
 /// Some states of one instance, one behind the other.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-struct Block {
+struct Block<N> {
+    states: Vec<Stored<N>>,
     bytes: Vec<u8>,
-    /// Where the bytes of each state end.
-    bytes_end: Vec<u32>,
     actions: Vec<u16>,
     /// Of every state the team's, then those of subtasks and agents.
     rewards: Vec<f32>,
-    ends: Vec<End>,
+}
+
+/// What stands together of a state, as a draw out of many millions waits for memory.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Stored<N> {
+    /// Where its bytes end.
+    bytes_end: u32,
+    end: End,
+    note: N,
 }
 
 impl Trajectories {
     /// An empty buffer for so many instances.
     pub fn new(capacity: Capacity, instances: usize, widths: Widths) -> Self {
+        Self::noting(capacity, instances, widths)
+    }
+}
+
+impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
+    /// The same, in which something is noted of every step.
+    pub fn noting(capacity: Capacity, instances: usize, widths: Widths) -> Self {
         let streams = vec![Stream::default(); instances];
         let earned = vec![Earned::default(); widths.earners];
         Self { capacity, widths, streams, episodes: VecDeque::new(), finished: 0, earned }
@@ -192,6 +220,11 @@ impl Trajectories {
 
     /// Adds a step.
     pub fn push(&mut self, transition: &Transition<'_>) {
+        self.push_noted(transition, N::default());
+    }
+
+    /// Adds a step, and what is noted of it; returns where it stands.
+    pub fn push_noted(&mut self, transition: &Transition<'_>, note: N) -> Place {
         let Transition {
             instance, state, actions, step, task_rewards, agent_rewards, next, ..
         } = *transition;
@@ -202,7 +235,8 @@ impl Trajectories {
         };
         let Self { capacity, widths, streams, .. } = self;
         let stream = &mut streams[instance];
-        let block = stream.write(state, end, *widths);
+        let place = Place { instance: instance as u32, number: stream.next };
+        let block = stream.write(state, end, note, *widths);
         block.actions.extend(&actions[..widths.agents]);
         let padded = |rewards: &[f64], count: usize, to: &mut Vec<f32>| {
             let end = to.len() + count;
@@ -215,7 +249,7 @@ impl Trajectories {
         let earned = &block.rewards[block.rewards.len() - widths.earners..];
         self.earned.iter_mut().zip(earned).for_each(|(sums, reward)| sums.add(*reward, 1.0));
         if step.done() {
-            let block = stream.write(next, End::Nothing, *widths);
+            let block = stream.write(next, End::Nothing, N::default(), *widths);
             block.actions.resize(block.actions.len() + widths.agents, 0);
             block.rewards.resize(block.rewards.len() + widths.rewards(), 0.0);
         }
@@ -226,6 +260,7 @@ impl Trajectories {
         if step.done() {
             self.end_episode(instance);
         }
+        place
     }
 
     fn end_episode(&mut self, instance: usize) {
@@ -335,8 +370,8 @@ impl Trajectories {
     /// The bytes of a state.
     pub fn state(&self, place: Place) -> &[u8] {
         let (block, at) = self.block(place);
-        let start = at.checked_sub(1).map_or(0, |before| block.bytes_end[before]);
-        &block.bytes[start as usize..block.bytes_end[at] as usize]
+        let start = at.checked_sub(1).map_or(0, |before| block.states[before].bytes_end);
+        &block.bytes[start as usize..block.states[at].bytes_end as usize]
     }
 
     /// `[A]`: what was done in a state.
@@ -357,10 +392,52 @@ impl Trajectories {
     /// How the step from a state left its episode.
     pub fn end(&self, place: Place) -> End {
         let (block, at) = self.block(place);
-        block.ends[at]
+        block.states[at].end
     }
 
-    fn block(&self, place: Place) -> (&Block, usize) {
+    /// What was noted of it.
+    pub fn note(&self, place: Place) -> &N {
+        let (block, at) = self.block(place);
+        &block.states[at].note
+    }
+
+    /// The same, to be changed.
+    pub fn note_mut(&mut self, place: Place) -> &mut N {
+        let stream = &mut self.streams[place.instance()];
+        let at = place.number - stream.first;
+        &mut stream.blocks[(at / BLOCK) as usize].states[(at % BLOCK) as usize].note
+    }
+
+    /// The number of a state for [`Priorities`], among [`slots`](Self::slots): that of the state before it that it pushed out.
+    ///
+    /// # Panics
+    /// The capacity is in episodes.
+    pub fn slot(&self, place: Place) -> usize {
+        let kept = self.kept();
+        place.instance() * kept + (place.number % kept as u64) as usize
+    }
+
+    /// The latest state of a slot that was filled.
+    pub fn at(&self, slot: usize) -> Place {
+        let (instance, kept) = (slot / self.kept(), self.kept() as u64);
+        let last = self.streams[instance].next - 1;
+        let ahead = (last % kept + kept - slot as u64 % kept) % kept;
+        Place { instance: instance as u32, number: last - ahead }
+    }
+
+    /// How many slots there are.
+    pub fn slots(&self) -> usize {
+        self.streams.len() * self.kept()
+    }
+
+    fn kept(&self) -> usize {
+        match self.capacity {
+            Capacity::States(kept) => kept,
+            Capacity::Episodes(_) => panic!("slots are of states"),
+        }
+    }
+
+    fn block(&self, place: Place) -> (&Block<N>, usize) {
         let stream = &self.streams[place.instance as usize];
         let at = place.number - stream.first;
         (&stream.blocks[(at / BLOCK) as usize], (at % BLOCK) as usize)
@@ -396,9 +473,9 @@ impl Widths {
     }
 }
 
-impl Stream {
+impl<N: Clone + Default> Stream<N> {
     /// Adds a state; returns its block, in which all else about it is to follow.
-    fn write(&mut self, state: &[u8], end: End, widths: Widths) -> &mut Block {
+    fn write(&mut self, state: &[u8], end: End, note: N, widths: Widths) -> &mut Block<N> {
         if self.next == self.first + self.blocks.len() as u64 * BLOCK {
             let mut block = self.spare.pop().unwrap_or_default();
             block.clear();
@@ -408,8 +485,7 @@ impl Stream {
         self.next += 1;
         let block = self.blocks.back_mut().expect("a block with room");
         block.bytes.extend_from_slice(state);
-        block.bytes_end.push(block.bytes.len() as u32);
-        block.ends.push(end);
+        block.states.push(Stored { bytes_end: block.bytes.len() as u32, end, note });
         block
     }
 
@@ -423,13 +499,12 @@ impl Stream {
     }
 }
 
-impl Block {
+impl<N> Block<N> {
     fn clear(&mut self) {
+        self.states.clear();
         self.bytes.clear();
-        self.bytes_end.clear();
         self.actions.clear();
         self.rewards.clear();
-        self.ends.clear();
     }
 
     /// Makes room for all that is to come but the bytes of states, whose number is not known.
@@ -437,7 +512,7 @@ impl Block {
         let states = BLOCK as usize;
         self.actions.reserve_exact(states * widths.agents);
         self.rewards.reserve_exact(states * widths.rewards());
-        self.ends.reserve_exact(states);
+        self.states.reserve_exact(states);
     }
 }
 

@@ -20,16 +20,21 @@ impl World {
 
     /// Adds a step of an instance from one state to another that earns the number of the state; the first subtask and the
     /// second agent earn more.
-    fn push(
+    fn push(&self, replay: &mut Trajectories, instance: usize, states: [usize; 2], end: End) {
+        self.push_noted(replay, instance, states, (end, ()));
+    }
+
+    /// The same, and notes something of it.
+    fn push_noted<N: Clone + Default + Serialize + DeserializeOwned>(
         &self,
-        replay: &mut Trajectories,
+        replay: &mut Trajectories<N>,
         instance: usize,
         [state, next]: [usize; 2],
-        end: End,
-    ) {
+        (end, note): (End, N),
+    ) -> Place {
         let reward = state as f64;
         let (terminated, timed_out) = (end == End::Over, end == End::TimedOut);
-        replay.push(&Transition {
+        let transition = Transition {
             environment: &*self.0,
             instance,
             state: &bytes(state),
@@ -38,7 +43,8 @@ impl World {
             task_rewards: &[reward + 0.25],
             agent_rewards: &[0.0, reward + 0.5],
             next: &bytes(next),
-        });
+        };
+        replay.push_noted(&transition, note)
     }
 }
 
@@ -208,4 +214,39 @@ fn a_checkpoint_brings_back_what_goes_on_as_before() {
         (23..400).for_each(|state| world.push(replay, 0, [state, state + 1], End::Open));
     }
     assert_eq!(postcard::to_stdvec(&replay).unwrap(), postcard::to_stdvec(&again).unwrap());
+}
+
+#[test]
+fn notes_stay_with_their_steps_and_can_be_changed() {
+    let (world, capacity) = (World::new(), Capacity::States(300));
+    let mut replay: Trajectories<u32> = Trajectories::noting(capacity, 2, WIDTHS);
+    let mut places = Vec::new();
+    for number in 0..700 {
+        let end = if number % 50 == 49 { End::Over } else { End::Open };
+        let place = world.push_noted(&mut replay, 1, [0, 1], (end, number));
+        *replay.note_mut(place) += 1_000;
+        assert_eq!(place.instance(), 1);
+        places.push(place);
+    }
+    for (number, place) in places.into_iter().enumerate().filter(|(_, place)| replay.has(*place)) {
+        assert_eq!(*replay.note(place), 1_000 + number as u32);
+        if replay.end(place) == End::Over {
+            assert_eq!(*replay.note(place.after(1)), 0, "of what an episode ended in");
+        }
+    }
+}
+
+#[test]
+fn a_slot_is_that_of_the_latest_state_in_it() {
+    let (world, kept) = (World::new(), 7);
+    let mut replay = Trajectories::new(Capacity::States(kept), 2, WIDTHS);
+    assert_eq!(replay.slots(), 14);
+    for number in 0..30 {
+        let place = world.push_noted(&mut replay, 1, [number, number + 1], (End::Open, ()));
+        assert_eq!(replay.slot(place), kept + number % kept);
+        for age in 0..kept.min(number + 1) {
+            let place = Place { number: (number - age) as u64, ..place };
+            assert_eq!(replay.at(replay.slot(place)), place, "{number} {age}");
+        }
+    }
 }

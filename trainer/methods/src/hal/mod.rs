@@ -4,6 +4,7 @@
 //! can be reached next is learned from what happened, and masks the choice.
 
 mod affordances;
+mod lessons;
 mod method;
 #[cfg(test)]
 mod tests;
@@ -11,18 +12,19 @@ mod tests;
 use sortie_learn::configuration::Range::{self, Number, Numbers, OneOf, Truth, Whole};
 use sortie_learn::configuration::{OPTIMISER, OptimiserConfig, SHARE};
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
+use sortie_learn::trajectory::End;
 use sortie_learn::{LearnError, Method, Now, sections};
 use sortie_nn::schedule::linear;
 
 use crate::options::{
-    Chances, CourseRules, REPLAY, ReturnRules, WEIGHTS, fast_optimiser, fast_setup, learned_as,
-    misfit, paper_optimiser, paper_setup,
+    Chances, CourseRules, NONE, Note, Paid, REPLAY, ReturnRules, WEIGHTS, fast_optimiser,
+    fast_setup, learned_as, misfit, paper_optimiser, paper_setup,
 };
 
-pub use crate::options::{Mask, ReplayConfig, WeightsConfig};
+pub use crate::options::{Mask, MaskCounts, Measured, ReplayConfig, WeightsConfig};
 pub use crate::pictures::Body;
 pub use affordances::tolerance;
-pub use method::{Hal, MaskCounts, Measured};
+pub use method::Hal;
 
 const SIZE: Range = Whole(1, 20_000_000);
 const BATCH: Range = Whole(1, 65_536);
@@ -191,9 +193,24 @@ impl ReturnsConfig {
     }
 
     fn rules(&self) -> ReturnRules {
-        let Self { steps, discount, no_operations, time_outs, relabel, .. } = *self;
-        let ([worth, cost], forgives) = (self.worth(), !relabel);
-        ReturnRules { steps, discount, no_operations, time_outs, worth, cost, forgives }
+        let Self { steps, discount, no_operations, time_outs, .. } = *self;
+        ReturnRules { steps, discount, no_operations, time_outs }
+    }
+
+    /// What steps are to a goal: its options end by any milestone, and pay for their own. Without hindsight a step that
+    /// reached another costs nothing.
+    fn paid(&self, goal: u8) -> impl Fn(&Note, End) -> Paid + use<> {
+        let ([worth, cost], relabel) = (self.worth(), self.relabel);
+        move |note, _| Paid {
+            reward: match note.reached {
+                NONE => -cost,
+                reached if reached == goal => worth,
+                _ if relabel => -cost,
+                _ => 0.0,
+            },
+            is_last: note.ends_option,
+            is_over: note.reached != NONE,
+        }
     }
 
     fn course_rules(&self, meta: &MetaConfig, milestones: usize) -> CourseRules {

@@ -1,18 +1,22 @@
 //! What the published learner does in an update, beside naive lists.
 
 use sortie_envs::random::{below, chance, generator};
-use sortie_envs::{Environment, Random, Split};
+use sortie_envs::{Environment, Random};
 use sortie_learn::Now;
-use sortie_learn::configuration::OptimiserConfig;
+use sortie_learn::learner::{Rules, Shard};
+use sortie_learn::trajectory::{End, Place};
 use sortie_nn::gradient_check::assert_gradient;
+use sortie_nn::optimise::AdamRules;
+use sortie_nn::tape::Tape;
 
-use super::method::{ControllerMemory, MetaMemory, update_controller, update_meta};
+use super::lessons::Update;
 use super::{AffordancesConfig, Config, MetaConfig, ReturnsConfig};
-use crate::options::naive::{greedy, values};
+use crate::options::naive::{Moment, at, greedy, keep, kept, values, world};
 use crate::options::{
-    End, Finished, Mask, Moment, NONE, Place, Replay, ReplayConfig, course, window,
+    Finished, Lesson, Mask, NONE, Note, OptionPlace, QNetwork, Replay, ReplayConfig, course,
+    returns,
 };
-use crate::pictures::{Body, Heads, Learner, NetworkShape, Shown};
+use crate::pictures::{Body, Heads, NetworkShape, Shown};
 
 const GOALS: usize = 3;
 const EXPONENT: f32 = 0.7;
@@ -23,123 +27,110 @@ pub(super) struct Scene {
     pub(super) shown: Shown,
     heads: Heads,
     pub(super) replay: Replay,
-    returns: ReturnsConfig,
-    sizes: ReplayConfig,
-    meta: MetaConfig,
-    /// What an update draws by.
-    draws: u64,
+    config: Config,
 }
 
 impl Scene {
     /// What these settings keep; priorities, where there are any, differ.
     pub(super) fn new(settings: Config) -> Self {
-        let world =
-            sortie_envs::open("crafting/iron", Split::Train, 1, &Default::default()).unwrap();
+        let world = world();
         let shown = Shown::new(world.spec(), 7, false, true).unwrap();
         let heads = Heads { goals: GOALS, actions: 11, dueling: true };
-        let Config { returns, replay, meta, .. } = settings;
-        let kept = Replay::new(1, 400, shown.bytes(), GOALS);
-        let kept = match replay.priorities {
-            0.0 => kept,
-            exponent => kept.by_priority(exponent, 100),
+        let config = Config {
+            returns: ReturnsConfig { steps: 4, ..settings.returns },
+            replay: ReplayConfig { batch: 24, ..settings.replay },
+            meta: MetaConfig { options: 3, batch: 16, ..settings.meta },
+            ..settings
         };
-        let mut scene = Self {
-            world,
-            shown,
-            heads,
-            replay: kept,
-            returns: ReturnsConfig { steps: 4, ..returns },
-            sizes: ReplayConfig { batch: 24, ..replay },
-            meta: MetaConfig { options: 3, batch: 16, ..meta },
-            draws: 9,
-        };
+        let replay = Replay::new(1, 400, GOALS).by_priority(config.replay.priorities, 100);
+        let mut scene = Self { world, shown, heads, replay, config };
         scene.play();
         scene
     }
 
     /// States of a picture whose cells are drawn, in options that reach milestones now and then.
     fn play(&mut self) {
-        let mut random = generator(5);
-        let mut start = Place { instance: 0, time: 0 };
-        while start.time < 300 {
+        let (mut random, mut played) = (generator(5), 0);
+        while played < 300 {
             let (goal, steps) = (below(&mut random, GOALS) as u8, 1 + below(&mut random, 6) as u8);
             let reached =
                 if chance(&mut random, 0.6) { below(&mut random, GOALS) as u8 } else { NONE };
-            let end = if chance(&mut random, 0.1) { End::TimedOut } else { End::GoesOn };
+            let is_over = chance(&mut random, 0.1);
+            let mut start = None;
             for step in 1..=steps {
-                let ends_option = step == steps;
-                let moment = Moment {
-                    action: below(&mut random, 11) as u8,
+                let (action, ends_option) = (below(&mut random, 11) as u16, step == steps);
+                let note = Note {
                     goal,
                     reached: if ends_option { reached } else { NONE },
                     option_reached: NONE,
                     ends_option,
-                    ..Moment::default()
+                    ..Note::default()
                 };
                 let state = drawn_state(self.shown.bytes(), &mut random);
-                self.replay.push(0, &state, moment);
+                let end = if is_over && ends_option { End::TimedOut } else { End::Open };
+                let place = keep(&mut self.replay, &*self.world, (0, &state), (action, note), end);
+                start.get_or_insert(place);
             }
+            let (start, end) = (start.unwrap(), if is_over { End::TimedOut } else { End::Open });
             // Every set of milestones but none.
-            let mask = 1 + start.time % 7;
+            let mask = 1 + played % 7;
             self.replay.finish(Finished { start, steps, goal, reached, mask, end });
-            start = start.after(steps.into());
+            for step in 0..steps {
+                let error = 0.1 + below(&mut random, 9) as f32;
+                self.replay.correct_steps([(start.after(step.into()), error)].into_iter());
+            }
+            played += u32::from(steps);
         }
-        let errors: Vec<_> = (0..start.time)
-            .map(|time| (Place { instance: 0, time }, 0.1 + below(&mut random, 9) as f32))
-            .collect();
-        self.replay.correct_steps(errors.into_iter());
+    }
+
+    pub(super) fn shape(&self, heads: Heads) -> NetworkShape {
+        let (body, picture) = (Body::Convolution, self.shown.shape());
+        NetworkShape { body, picture, columns: self.shown.columns(), active: 1, width: 16, heads }
     }
 
     /// Weights, online ones and others for targets.
-    pub(super) fn learner(&self, outputs: usize) -> Learner {
-        let (body, picture) = (Body::Convolution, self.shown.shape());
-        let (columns, active, width) = (self.shown.columns(), 1, 16);
-        let shape = NetworkShape { body, picture, columns, active, width, outputs };
-        let mut learner = Learner::new(shape, &OptimiserConfig::default(), &mut generator(1));
-        learner.target = Learner::new(shape, &OptimiserConfig::default(), &mut generator(2)).online;
+    fn learner(&self, heads: Heads) -> QNetwork {
+        let rules = Rules::default();
+        let adam = AdamRules { decay: 1e-5, ..rules.adam };
+        let rules = Rules { target_rate: 0.0, adam, ..rules };
+        let new = |seed| QNetwork::new(self.shape(heads), rules, &mut generator(seed));
+        let mut learner = new(1);
+        learner.learner.target = new(2).learner.target;
         learner
     }
 
-    /// The values of a head's actions in a state, shown left for right or not, by some weights, computed alone.
-    fn values(
-        &self,
-        (learner, weights): (&Learner, &[f32]),
-        place: Place,
-        (is_mirrored, goal): (bool, usize),
-    ) -> Vec<f32> {
-        let heads = if learner.network.outputs() == self.heads.outputs() {
-            self.heads
-        } else {
-            self.heads.of_goals(true)
-        };
-        values((learner, weights, heads), (&self.replay, &self.shown), (place, is_mirrored, goal))
+    fn controller(&self) -> QNetwork {
+        self.learner(self.heads)
     }
 
-    /// An option and its priority: by priorities where there are any, else now and then of a solved episode.
-    fn drawn_option(&mut self, random: &mut Random) -> ((u32, u32), f64) {
-        self.replay.draw_option_by_priority(random).unwrap_or_else(|| {
-            let is_solved = chance(random, self.meta.solved.into());
-            let place = self.replay.draw_option(is_solved, random);
-            (place.or_else(|| self.replay.draw_option(false, random)).unwrap(), 1.0)
-        })
+    fn meta_controller(&self) -> QNetwork {
+        self.learner(self.heads.of_goals(true))
+    }
+
+    /// The values of a head's actions in a state, shown left for right or not, by the weights that learn and by those of
+    /// targets, computed alone.
+    fn values(&self, q: &QNetwork, place: Place, head: (bool, usize)) -> [Vec<f32>; 2] {
+        let kept = (&self.replay, &self.shown);
+        [&q.learner.online.values, &q.learner.target]
+            .map(|weights| values((&q.network, weights), kept, (place, head.0, head.1)))
     }
 
     /// What a value that is looked up counts as.
     fn bounded(&self, value: f32) -> f32 {
-        if self.returns.bounded { value.clamp(0.0, 1.0) } else { value }
+        if self.config.returns.bounded { value.clamp(0.0, 1.0) } else { value }
     }
 
-    fn descend(&mut self, learner: &mut Learner, memory: &mut ControllerMemory) -> f64 {
-        let settings = (&self.returns, &self.sizes, EXPONENT);
-        let kept = (&mut self.replay, &self.shown, &*self.world);
-        update_controller(learner, self.heads, settings, kept, memory, &mut generator(self.draws))
+    fn update<'a>(&'a mut self, random: &'a mut Random) -> Update<'a> {
+        let Self { config, replay, shown, world, .. } = self;
+        Update { config, replay, shown, environment: &**world, exponent: EXPONENT, random }
     }
 
-    fn descend_meta(&mut self, learner: &mut Learner) -> f64 {
-        let settings = (&self.meta, &self.returns, EXPONENT);
-        let kept = (&mut self.replay, &self.shown);
-        let (heads, mut memory) = (self.heads.of_goals(true), MetaMemory::default());
-        update_meta(learner, heads, settings, kept, &mut memory, &mut generator(9)).unwrap()
+    fn draw_step(&mut self, random: &mut Random) -> Option<Lesson> {
+        self.update(random).draw_step()
+    }
+
+    fn draw_option(&mut self, random: &mut Random) -> Option<(OptionPlace, Lesson)> {
+        self.update(random).draw_option(GOALS)
     }
 }
 
@@ -168,55 +159,53 @@ fn settings() -> [Config; 4] {
 fn an_update_of_the_controller_is_that_of_a_naive_list() {
     for settings in settings() {
         let mut scene = Scene::new(settings);
-        let mut learner = scene.learner(scene.heads.outputs());
+        let mut q = scene.controller();
         // The same draws, one by one.
-        let mut random = generator(9);
-        let mut drawn = Vec::new();
-        while drawn.len() < scene.sizes.batch {
-            let (place, priority) = scene.replay.draw(scene.sizes.reached, &mut random);
-            let window = window(&scene.replay, place, scene.returns.rules());
-            let Some(window) = window else { continue };
-            let is_mirrored = scene.returns.mirror && chance(&mut random, 0.5);
-            drawn.push((place, priority, window, is_mirrored));
+        let (mut random, mut drawn) = (generator(9), Vec::new());
+        while drawn.len() < scene.config.replay.batch {
+            drawn.extend(scene.draw_step(&mut random));
         }
-        let least = drawn.iter().map(|it| it.1).fold(f64::MAX, f64::min);
+        let least = drawn.iter().map(|it| it.priority).fold(f64::MAX, f64::min);
         let (mut loss, mut errors, mut turned) = (0.0, Vec::new(), 0);
-        for (place, priority, window, is_mirrored) in &drawn {
-            let moment = scene.replay.moment(*place);
-            let mut goals = vec![moment.goal];
-            let relabel = scene.returns.relabel;
-            if relabel && moment.option_reached != NONE && moment.option_reached != moment.goal {
-                goals.push(moment.option_reached);
+        for lesson in &drawn {
+            let (place, is_mirrored) = (lesson.state, lesson.is_mirrored);
+            let note = *scene.replay.steps.note(place);
+            let mut goals = vec![note.goal];
+            let relabel = scene.config.returns.relabel;
+            if relabel && note.option_reached != NONE && note.option_reached != note.goal {
+                goals.push(note.option_reached);
             }
             // What is shown left for right was done left for right.
-            let action = scene.world.turned_action((*is_mirrored).into(), moment.action.into());
-            turned += usize::from(action != u16::from(moment.action));
-            let weight = (least / priority).powf(EXPONENT.into());
+            let done = scene.replay.steps.actions(place)[0];
+            let action = scene.world.turned_action(is_mirrored.into(), done);
+            turned += usize::from(action != done);
+            let weight = (least / lesson.priority).powf(EXPONENT.into());
             let mut sum = 0.0;
             for goal in &goals {
-                let head = (*is_mirrored, usize::from(*goal));
-                let follows = window.next.map_or(0.0, |next| {
-                    let chosen = scene.values((&learner, &learner.online), next, head);
-                    let worth = scene.values((&learner, &learner.target), next, head);
-                    window.discount * scene.bounded(worth[greedy(&chosen)])
+                let head = (is_mirrored, usize::from(*goal));
+                let (rules, paid) =
+                    (scene.config.returns.rules(), scene.config.returns.paid(*goal));
+                let (earned, next) = returns(&scene.replay, place, rules, paid).unwrap();
+                let follows = next.map_or(0.0, |next| {
+                    let [chosen, worth] = scene.values(&q, next.place, head);
+                    next.discount * scene.bounded(worth[greedy(&chosen)])
                 });
-                let target = window.earned(*goal, scene.returns.rules()) + follows;
-                let values = scene.values((&learner, &learner.online), *place, head);
-                let error = f64::from(values[usize::from(action)] - target);
+                let [values, _] = scene.values(&q, place, head);
+                let error = f64::from(values[usize::from(action)] - earned - follows);
                 loss += 0.5 * (weight * error).powi(2) / drawn.len() as f64;
                 sum += error.abs();
             }
-            errors.push((*place, sum / goals.len() as f64));
+            errors.push((place, sum / goals.len() as f64));
         }
-        assert!(drawn.iter().any(|it| it.2.next.is_some()));
-        assert_eq!(turned > 0, scene.returns.mirror);
-        let exponent = scene.sizes.priorities;
-        assert_eq!(drawn.iter().any(|it| it.1 > least), exponent > 0.0);
-        let found = scene.descend(&mut learner, &mut ControllerMemory::default());
+        assert!(drawn.iter().any(|it| it.next.is_some()));
+        assert_eq!(turned > 0, scene.config.returns.mirror);
+        let exponent = scene.config.replay.priorities;
+        assert_eq!(drawn.iter().any(|it| it.priority > least), exponent > 0.0);
+        let found = scene.update(&mut generator(9)).controller(&mut q, 0.0).loss;
         assert!((found - loss).abs() < 1e-4 * loss, "{found} {loss}");
         // A step that was drawn now has the priority of its error.
         for _ in 0..200 {
-            let (place, priority) = scene.replay.draw(scene.sizes.reached, &mut random);
+            let (place, priority) = scene.replay.draw(scene.config.replay.reached, &mut random);
             for (_, error) in errors.iter().filter(|it| it.0 == place && exponent > 0.0) {
                 assert!((priority - (error + 0.001).powf(exponent)).abs() < 1e-4);
             }
@@ -228,52 +217,48 @@ fn an_update_of_the_controller_is_that_of_a_naive_list() {
 fn an_update_of_the_meta_controller_is_that_of_a_naive_list() {
     for settings in settings() {
         let mut scene = Scene::new(settings);
-        let mut learner = scene.learner(scene.heads.of_goals(true).outputs());
+        let mut q = scene.meta_controller();
         let options: Vec<_> = (0..10).map(|number| ((0, number), 0.3 * number as f32)).collect();
         scene.replay.correct_options(options.into_iter());
-        let rules = scene.returns.course_rules(&scene.meta, GOALS);
-        let mut random = generator(9);
-        let mut drawn = Vec::new();
-        while drawn.len() < scene.meta.batch {
-            let (place, priority) = scene.drawn_option(&mut random);
-            let Some(course) = course(&scene.replay, place, rules) else { continue };
-            let is_mirrored = scene.returns.mirror && chance(&mut random, 0.5);
-            drawn.push((place, priority, course, is_mirrored));
+        let rules = scene.config.returns.course_rules(&scene.config.meta, GOALS);
+        let (mut random, mut drawn) = (generator(9), Vec::new());
+        while drawn.len() < scene.config.meta.batch {
+            drawn.extend(scene.draw_option(&mut random));
         }
-        let least = drawn.iter().map(|it| it.1).fold(f64::MAX, f64::min);
+        let least = drawn.iter().map(|it| it.1.priority).fold(f64::MAX, f64::min);
         let (mut loss, mut errors, mut hidden) = (0.0, Vec::new(), 0);
-        for (place, priority, course, is_mirrored) in &drawn {
-            let head = (*is_mirrored, 0);
-            let follows = course.next.map_or(0.0, |(next, mask)| {
-                let mut chosen = scene.values((&learner, &learner.online), next, head);
+        for (option, lesson) in &drawn {
+            let head = (lesson.is_mirrored, 0);
+            let course = course(&scene.replay, *option, rules).unwrap();
+            let follows = course.next.map_or(0.0, |next| {
+                let [mut chosen, worth] = scene.values(&q, next.place, head);
                 let any = greedy(&chosen);
                 // What the mask hides behind an option is not chosen there.
                 for (goal, value) in chosen.iter_mut().enumerate() {
-                    if scene.meta.masked && mask >> goal & 1 == 0 {
+                    if scene.config.meta.masked && next.mask >> goal & 1 == 0 {
                         *value = f32::NEG_INFINITY;
                     }
                 }
-                let worth = scene.values((&learner, &learner.target), next, head);
                 let [best, any] = [greedy(&chosen), any].map(|goal| scene.bounded(worth[goal]));
                 hidden += usize::from(best != any);
-                course.discount * best
+                next.discount * best
             });
-            let values = scene.values((&learner, &learner.online), course.start, head);
+            let [values, _] = scene.values(&q, course.start, head);
             let error = f64::from(values[usize::from(course.goal)] - course.reward - follows);
-            let weight = (least / priority).powf(EXPONENT.into());
+            let weight = (least / lesson.priority).powf(EXPONENT.into());
             loss += 0.5 * (weight * error).powi(2) / drawn.len() as f64;
-            errors.push((*place, error));
+            errors.push((*option, error));
         }
         // Bounds make most of these values, of networks that have learned nothing, one.
-        assert!(hidden > 0 || scene.returns.bounded || !scene.meta.masked);
-        assert_eq!(drawn.iter().any(|it| it.3), scene.returns.mirror);
-        let found = scene.descend_meta(&mut learner);
+        assert!(hidden > 0 || scene.config.returns.bounded || !scene.config.meta.masked);
+        assert_eq!(drawn.iter().any(|it| it.1.is_mirrored), scene.config.returns.mirror);
+        let found = scene.update(&mut generator(9)).meta(&mut q, 0.0).unwrap().loss;
         assert!((found - loss).abs() < 1e-4 * loss, "{found} {loss}");
-        let exponent = scene.sizes.priorities;
+        let exponent = scene.config.replay.priorities;
         for _ in 0..200 {
-            let (place, priority) = scene.drawn_option(&mut random);
-            for (_, error) in errors.iter().filter(|it| it.0 == place && exponent > 0.0) {
-                assert!((priority - (error.abs() + 0.001).powf(exponent)).abs() < 1e-4);
+            let Some((option, lesson)) = scene.draw_option(&mut random) else { continue };
+            for (_, error) in errors.iter().filter(|it| it.0 == option && exponent > 0.0) {
+                assert!((lesson.priority - (error.abs() + 0.001).powf(exponent)).abs() < 1e-4);
             }
         }
     }
@@ -281,50 +266,122 @@ fn an_update_of_the_meta_controller_is_that_of_a_naive_list() {
 
 #[test]
 fn gradients_of_updates_agree_with_finite_differences() {
-    let scene = || Scene::new(Config::paper());
-    let learner = scene().learner(scene().heads.outputs());
-    let loss = |weights: &[f32]| {
-        let mut learner = learner.clone();
-        learner.online = weights.to_vec();
-        let loss = scene().descend(&mut learner, &mut ControllerMemory::default());
-        (loss, learner.gradient)
-    };
-    assert_gradient("controller", &learner.online, &loss(&learner.online).1, |it| loss(it).0);
-    let learner = scene().learner(scene().heads.of_goals(true).outputs());
-    let loss = |weights: &[f32]| {
-        let mut learner = learner.clone();
-        learner.online = weights.to_vec();
-        (scene().descend_meta(&mut learner), learner.gradient)
-    };
-    assert_gradient("meta-controller", &learner.online, &loss(&learner.online).1, |it| loss(it).0);
+    let mut scene = Scene::new(Config::paper());
+    let mut random = generator(9);
+    let steps = (0..60).filter_map(|_| scene.draw_step(&mut random)).collect();
+    let options = (0..60).filter_map(|_| Some(scene.draw_option(&mut random)?.1)).collect();
+    let lessons: [Vec<Lesson>; 2] = [steps, options];
+    for (q, lessons) in [scene.controller(), scene.meta_controller()].into_iter().zip(lessons) {
+        let mut unused = generator(1);
+        let update = scene.update(&mut unused);
+        let batch = update.lessons(&lessons);
+        let loss = |weights: &[f32], gradient: Option<&mut [f32]>| {
+            let [mut tape, mut spare] = [Tape::default(), Tape::default()];
+            let mut shard = Shard {
+                number: 0,
+                pass: tape.begin(weights),
+                spare: &mut spare,
+                online: &q.learner.online.values,
+                target: &q.learner.target,
+                space: &mut Default::default(),
+            };
+            let loss = batch.loss(&q.network, &mut shard);
+            gradient.into_iter().for_each(|it| shard.pass.backward(loss.total, it));
+            loss.reported
+        };
+        let online = &q.learner.online.values;
+        let mut gradient = vec![0.0; online.len()];
+        loss(online, Some(&mut gradient));
+        assert_gradient("an update", online, &gradient, |weights| loss(weights, None));
+    }
+}
+
+/// The published returns of a list of rewards, step by step from the front.
+fn naive(
+    moments: &[Moment],
+    start: usize,
+    goal: u8,
+    (rules, [worth, cost]): (&ReturnsConfig, [f32; 2]),
+) -> Option<(f32, f32, Option<Place>)> {
+    let is_time_out = |at: usize| moments[at].ends_option && moments[at].reached == NONE;
+    if is_time_out(start) {
+        return None;
+    }
+    let (mut sum, mut at) = (0.0, start);
+    loop {
+        let ahead = (at - start) as i32;
+        let reached = moments[at].reached;
+        let reward = match reached {
+            _ if reached != NONE && reached == goal => worth,
+            _ if reached != NONE && !rules.relabel => 0.0,
+            _ => -cost,
+        };
+        sum += rules.discount.powi(ahead) * reward;
+        at += 1;
+        if reached != NONE {
+            return Some((sum, 0.0, None));
+        }
+        if at - start == usize::from(rules.steps) || is_time_out(at) {
+            return Some((sum, rules.discount.powi(ahead + 1), Some(Place::default().after(at))));
+        }
+    }
+}
+
+#[test]
+fn published_returns_are_those_of_a_naive_list() {
+    let step = Moment::default();
+    let mut moments = vec![step; 40];
+    // Options end by a milestone, by their time, where nothing can be reached, and with the episode's time.
+    for (at, reached) in [(5, 1), (13, NONE), (14, 2), (20, NONE), (31, NONE), (39, 0)] {
+        moments[at] = Moment { reached, ends_option: true, ..step };
+    }
+    (moments[20].terminated, moments[21].is_last) = (true, true);
+    (moments[31].ends_option, moments[32].is_last) = (true, true);
+    let replay = kept(&moments);
+    for (steps, relabel) in [(10, true), (3, false), (1, true)] {
+        let published = Config::paper().returns;
+        let config = ReturnsConfig { steps, relabel, cost: 0.25, logarithm: false, ..published };
+        for (start, goal) in (0..40).flat_map(|start| (0..3).map(move |goal| (start, goal))) {
+            if moments[start].is_last {
+                continue;
+            }
+            let found = returns(&replay, at(start), config.rules(), config.paid(goal));
+            let found = found.map(|(earned, next)| {
+                (earned, next.map_or(0.0, |next| next.discount), next.map(|next| next.place))
+            });
+            let want = naive(&moments, start, goal, (&config, [0.75, 0.25]));
+            let close = match (found, want) {
+                (Some(found), Some(want)) => {
+                    let differences = [found.0 - want.0, found.1 - want.1];
+                    found.2 == want.2 && differences.iter().all(|it| it.abs() < 1e-5)
+                }
+                (found, want) => found == want,
+            };
+            assert!(close, "{start} {goal} {steps}: {found:?} {want:?}");
+        }
+    }
 }
 
 #[test]
 fn published_rewards_are_logarithms() {
     let returns = Config::paper().returns;
-    let rules = returns.rules();
-    assert!((rules.worth - 0.99277).abs() < 1e-5 && (rules.cost - 0.014355).abs() < 1e-6);
-    assert!(!rules.forgives && ReturnsConfig { relabel: false, ..returns }.rules().forgives);
-    let fast = ReturnsConfig::default().rules();
-    assert_eq!((fast.worth, fast.cost), (1.0, 0.0));
+    let [worth, cost] = returns.worth();
+    assert!((worth - 0.99277).abs() < 1e-5 && (cost - 0.014355).abs() < 1e-6);
+    assert_eq!(ReturnsConfig::default().worth(), [1.0, 0.0]);
 }
 
 #[test]
 fn values_come_to_what_was_earned() {
     let mut scene = Scene::new(Config::paper());
-    scene.returns.discount = 0.9;
-    let mut learner = scene.learner(scene.heads.outputs());
-    let optimiser = OptimiserConfig { target_rate: 0.0, ..OptimiserConfig::default() };
-    let mut memory = ControllerMemory::default();
-    let mut losses = Vec::new();
+    scene.config.returns.discount = 0.9;
+    let (mut q, mut losses) = (scene.controller(), Vec::new());
     for update in 1..=400 {
-        scene.draws = update;
-        losses.push(scene.descend(&mut learner, &mut memory));
-        learner.step(&optimiser, 1e-3, 1e-5, losses[losses.len() - 1]);
+        let mut random = generator(update);
+        losses.push(scene.update(&mut random).controller(&mut q, 1e-3).loss);
         if update % 100 == 0 {
-            assert!(learner.target != learner.online);
-            learner.copy_to_target();
-            assert!(learner.target == learner.online);
+            assert!(q.learner.target != q.learner.online.values);
+            q.learner.copy_to_target();
+            assert!(q.learner.target == q.learner.online.values);
         }
     }
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;

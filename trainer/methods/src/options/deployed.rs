@@ -7,9 +7,10 @@ use sortie_envs::Sign;
 use sortie_learn::export::{DenseLayer, DeployedAgents, DeployedNetworks, OptionGraphs};
 use sortie_nn::layers::SparseRows;
 use sortie_nn::layers::elementwise::{Activation, activate};
+use sortie_nn::tape::Tape;
 
 use super::play::{Actors, Chances, Chooser};
-use crate::pictures::{Network, Space};
+use crate::pictures::{Heads, Network};
 
 /// The agent that these networks are, by a seed for what it draws.
 pub(crate) fn deployed<'a>(
@@ -20,9 +21,10 @@ pub(crate) fn deployed<'a>(
 ) -> Option<DeployedAgents<'a>> {
     let chooser = actors.chooser?;
     let options = contract(actors, chooser, signs, chances, seed)?;
-    let rules = options.rules(actors.heads.actions).ok()?;
+    let rules = options.rules(actors.controller.0.heads.actions).ok()?;
     let row = vec![0.0; actors.shown.columns()];
-    let policy = OptionPolicy::new(rules, OwnNetworks::new(actors, chooser), row)?;
+    let own = OwnNetworks { actors, chooser, tape: Tape::default(), row: SparseRows::default() };
+    let policy = OptionPolicy::new(rules, own, row)?;
     let networks = graphs(actors, chooser)?;
     Some(DeployedAgents {
         networks: DeployedNetworks::Options { options, graphs: networks },
@@ -51,7 +53,7 @@ fn contract(
     };
     let milestones = signs.iter().enumerate().map(milestone);
     let milestones: Vec<_> = milestones.collect::<Option<_>>()?;
-    (milestones.len() == actors.heads.goals).then_some(OptionsContract {
+    (milestones.len() == actors.controller.0.heads.goals).then_some(OptionsContract {
         steps: actors.option_steps,
         threshold: chooser.threshold,
         action_chance: chances.actions,
@@ -74,11 +76,11 @@ fn graphs(actors: Actors<'_>, chooser: Chooser<'_>) -> Option<OptionGraphs> {
     let layers = |(network, weights): (&Network, &[f32])| network.dense(weights);
     let mut controller = layers(actors.controller)?;
     let [.., head] = &mut controller;
-    let (goals, actions) = (actors.heads.goals, actors.heads.actions);
+    let Heads { goals, actions, .. } = actors.controller.0.heads;
     let heads = (0..goals).map(|goal| head_of(head, goals, actions, goal)).collect();
     let [first, second, _] = controller;
     let mut meta = layers(chooser.meta)?;
-    if chooser.heads.dueling {
+    if chooser.meta.0.heads.dueling {
         meta[2] = head_of(&meta[2], 1, goals, 0);
     }
     Some(OptionGraphs {
@@ -115,20 +117,24 @@ fn head_of(head: &DenseLayer, goals: usize, actions: usize, goal: usize) -> Dens
 struct OwnNetworks<'a> {
     actors: Actors<'a>,
     chooser: Chooser<'a>,
-    space: Space,
-    values: Vec<f32>,
+    tape: Tape,
+    row: SparseRows,
 }
 
-impl<'a> OwnNetworks<'a> {
-    fn new(actors: Actors<'a>, chooser: Chooser<'a>) -> Self {
-        Self { actors, chooser, space: Space::default(), values: Vec::new() }
-    }
-
-    /// The second hidden layer for what is shown.
-    fn hidden(&mut self, (network, weights): (&Network, &[f32]), shown: &[f32]) -> Vec<f32> {
-        let mut rows = SparseRows::default();
-        rows.push_dense(shown);
-        self.space.hidden_of(network, weights, &rows).to_vec()
+impl OwnNetworks<'_> {
+    /// The values of all actions for a goal, by what is shown.
+    fn values(
+        &mut self,
+        (network, weights): (&Network, &[f32]),
+        shown: &[f32],
+        goal: usize,
+    ) -> Vec<f32> {
+        self.row.clear();
+        self.row.push_dense(shown);
+        let mut pass = self.tape.begin(weights);
+        let hidden = network.hidden(&mut pass, &self.row);
+        let values = network.values(&mut pass, hidden, &[network.place(0, goal)]);
+        pass.values(values).to_vec()
     }
 }
 
@@ -139,26 +145,17 @@ impl OptionNetworks for OwnNetworks<'_> {
         goal: usize,
         values: &mut [f32],
     ) -> Result<(), DecideError> {
-        let (network, weights) = self.actors.controller;
-        let hidden = self.hidden((network, weights), shown);
-        self.actors.heads.values(network, weights, &hidden, goal, &mut self.values);
-        values.copy_from_slice(&self.values);
+        values.copy_from_slice(&self.values(self.actors.controller, shown, goal));
         Ok(())
     }
 
     fn goals(&mut self, shown: &[f32], values: &mut [f32]) -> Result<(), DecideError> {
-        let (network, weights) = self.chooser.meta;
-        let hidden = self.hidden((network, weights), shown);
-        self.chooser.heads.values(network, weights, &hidden, 0, &mut self.values);
-        values.copy_from_slice(&self.values);
+        values.copy_from_slice(&self.values(self.chooser.meta, shown, 0));
         Ok(())
     }
 
     fn affordances(&mut self, shown: &[f32], likelihoods: &mut [f32]) -> Result<(), DecideError> {
-        let (network, weights) = self.chooser.classifier;
-        let hidden = self.hidden((network, weights), shown);
-        let mut logits = vec![0.0; likelihoods.len()];
-        network.read(weights, &hidden, 0..logits.len(), &mut logits);
+        let logits = self.values(self.chooser.classifier, shown, 0);
         activate(Activation::Sigmoid, &logits, likelihoods);
         Ok(())
     }

@@ -1,15 +1,19 @@
 //! Values of actions learned from what is kept (double Q-learning, equation 6.1).
 
-use super::priorities::importance;
-use super::replay::{NONE, Place, Replay};
-use crate::pictures::{Heads, Learner, Shown, Space, best, slopes};
+use sortie_envs::Random;
+use sortie_learn::Learner;
+use sortie_learn::learner::{Loss, Rules, Shard};
+use sortie_learn::run::UpdateReport;
+use sortie_learn::trajectory::{Place, importance};
+use sortie_nn::layers::SparseRows;
+
+use super::replay::{NONE, Replay};
+use super::returns::Next;
+use crate::pictures::{Network, NetworkShape, Shown, best};
 
 /// What an action in a state should be worth, for one goal or two.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Lesson<P> {
-    /// What was drawn, and its priority.
-    pub(crate) drawn: P,
-    pub(crate) priority: f64,
+pub(crate) struct Lesson {
     pub(crate) state: Place,
     pub(crate) is_mirrored: bool,
     pub(crate) action: usize,
@@ -17,114 +21,151 @@ pub(crate) struct Lesson<P> {
     pub(crate) goals: [(u8, f32); 2],
     /// Where a value is looked up besides; nowhere where nothing can follow.
     pub(crate) next: Option<Next>,
+    /// What it was drawn by.
+    pub(crate) priority: f64,
 }
 
-/// A value that belongs to what was earned.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Next {
-    pub(crate) place: Place,
-    /// What it counts.
-    pub(crate) discount: f32,
-    /// The actions that could be chosen there, as bits.
-    pub(crate) mask: u32,
+impl Lesson {
+    fn goals(&self) -> impl Iterator<Item = (usize, f32)> + use<> {
+        let goals = self.goals.into_iter().filter(|(goal, _)| *goal != NONE);
+        goals.map(|(goal, earned)| (goal.into(), earned))
+    }
 }
 
-/// Memory of updates.
+/// A network that learns what actions are worth.
 #[derive(Debug)]
-pub(crate) struct Memory<P> {
-    /// What is learned from: cleared and drawn before each update.
-    pub(crate) lessons: Vec<Lesson<P>>,
-    /// How far off the values of each were, in the mean over its goals.
+pub(crate) struct QNetwork {
+    pub(crate) network: Network,
+    pub(crate) learner: Learner<Memory>,
+}
+
+/// What an update fills and uses.
+#[derive(Debug, Default)]
+pub(crate) struct Memory {
+    rows: SparseRows,
+    /// Which values are looked at, see [`Network::place`].
+    places: Vec<u32>,
+    actions: Vec<u32>,
+    /// Of every goal of every lesson.
+    targets: Vec<f32>,
+    /// What their errors are multiplied by.
+    weights: Vec<f32>,
+    /// How far off the values of each lesson were, in the mean over its goals.
     errors: Vec<f32>,
-    space: Space,
-    target_space: Space,
-    slopes: Vec<f32>,
 }
 
-impl<P> Default for Memory<P> {
-    fn default() -> Self {
-        let (space, target_space) = Default::default();
-        Self { lessons: Vec::new(), errors: Vec::new(), space, target_space, slopes: Vec::new() }
+/// What lessons are made of.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Lessons<'a> {
+    pub(crate) lessons: &'a [Lesson],
+    pub(crate) replay: &'a Replay,
+    pub(crate) shown: &'a Shown,
+    /// How far losses make up for priorities.
+    pub(crate) exponent: f32,
+    /// Whether values that are looked up are held between 0 and 1.
+    pub(crate) bounded: bool,
+}
+
+impl QNetwork {
+    pub(crate) fn new(shape: NetworkShape, rules: Rules, random: &mut Random) -> Self {
+        let (network, parameters) = Network::new(shape, random);
+        Self { network, learner: Learner::new(parameters, rules, 1) }
+    }
+
+    /// The network and its weights: the averaged ones, which are measured, or those that learn, which explore.
+    pub(crate) fn weights(&self, averaged: bool) -> (&Network, &[f32]) {
+        let Learner { online, average, .. } = &self.learner;
+        (&self.network, if averaged { average } else { &online.values })
+    }
+
+    /// Makes an update. It is one shard: a batch of so small rows is through before a thread would have started.
+    pub(crate) fn update(&mut self, lessons: Lessons<'_>, learning_rate: f32) -> UpdateReport {
+        let Self { network, learner } = self;
+        learner.update(1, learning_rate, |shard| lessons.loss(network, shard))
+    }
+
+    /// How far off the values of each lesson of the last update were.
+    pub(crate) fn errors(&self) -> &[f32] {
+        self.learner.spaces().next().map_or(&[], |memory| &memory.errors)
     }
 }
 
-impl<P: Copy> Memory<P> {
-    /// What was drawn, and how far off its values were.
-    pub(crate) fn corrections(&self) -> impl Iterator<Item = (P, f32)> {
-        self.lessons.iter().map(|lesson| lesson.drawn).zip(self.errors.iter().copied())
-    }
-}
-
-/// Adds the gradient of the lessons that were drawn, and returns their loss. `exponent` is how far it makes up for
-/// priorities, `bounded` whether values that are looked up are held between 0 and 1.
-pub(crate) fn descend<P>(
-    learner: &mut Learner,
-    heads: Heads,
-    (exponent, bounded): (f32, bool),
-    (replay, shown): (&Replay, &Shown),
-    memory: &mut Memory<P>,
-) -> f64 {
-    let Memory { lessons, errors, space, target_space, slopes: by_head } = memory;
-    let priorities = lessons.iter().map(|lesson| lesson.priority);
-    let weights: Vec<f32> = importance(priorities, exponent.into()).collect();
-    look_up(learner, (heads, bounded), (replay, shown), lessons, space, target_space);
-    space.rows.clear();
-    for lesson in &*lessons {
-        shown.push(replay.shown(lesson.state), lesson.is_mirrored, &mut space.rows);
-    }
-    let mut pass = space.tape.begin(&learner.online);
-    let hidden = learner.network.hidden(&mut pass, &space.rows);
-    let values = learner.network.head(&mut pass, hidden);
-    let (outputs, share) = (heads.outputs(), 1.0 / lessons.len() as f32);
-    by_head.clear();
-    by_head.resize(lessons.len() * outputs, 0.0);
-    errors.clear();
-    let mut loss = 0.0;
-    let rows = pass.values(values).chunks_exact(outputs).zip(by_head.chunks_exact_mut(outputs));
-    for ((lesson, weight), (values, slopes)) in lessons.iter().zip(weights).zip(rows) {
-        let active = lesson.goals.into_iter().filter(|(goal, _)| *goal != NONE);
-        let goals = active.clone().count() as f32;
-        let share = share * weight * weight;
-        let mut mean = 0.0;
-        for (goal, target) in active {
-            let error = heads.value(values, goal.into(), lesson.action) - target;
-            loss += 0.5 * f64::from(error * error * share);
-            mean += error.abs() / goals;
-            heads.add_slope(slopes, goal.into(), lesson.action, error * share);
+impl Lessons<'_> {
+    /// Half the mean, over lessons, of the squares of weighted errors.
+    pub(crate) fn loss(self, network: &Network, shard: &mut Shard<'_, Memory>) -> Loss {
+        self.find_targets(network, shard);
+        let Shard { pass, space, .. } = shard;
+        let Memory { rows, places, actions, targets, weights, errors } = &mut **space;
+        rows.clear();
+        places.clear();
+        actions.clear();
+        weights.clear();
+        let priorities = self.lessons.iter().map(|lesson| lesson.priority);
+        let all = self.lessons.iter().zip(importance(priorities, self.exponent.into()));
+        for (row, (lesson, weight)) in all.enumerate() {
+            self.shown.push(self.replay.steps.state(lesson.state), lesson.is_mirrored, rows);
+            for (goal, _) in lesson.goals() {
+                places.push(network.place(row, goal));
+                actions.push(lesson.action as u32);
+                weights.push(weight);
+            }
         }
-        errors.push(mean);
+        let hidden = network.hidden(pass, rows);
+        let values = network.values(pass, hidden, places);
+        let chosen = pass.pick(values, actions);
+        let mut distances = pass.values(chosen).iter().zip(&*targets).map(|(q, y)| (q - y).abs());
+        errors.clear();
+        errors.extend(self.lessons.iter().map(|lesson| {
+            let goals = lesson.goals().count();
+            distances.by_ref().take(goals).sum::<f32>() / goals as f32
+        }));
+        targets.iter_mut().zip(&*weights).for_each(|(target, weight)| *target *= weight);
+        let weights = pass.input(1, weights);
+        let chosen = pass.multiply(chosen, weights);
+        let share = 0.5 / self.lessons.len() as f32;
+        Loss::of(pass, |pass| pass.squared_error(chosen, targets, share))
     }
-    let sum = slopes(&mut pass, values, by_head);
-    pass.backward(sum, &mut learner.gradient);
-    loss
-}
 
-/// Adds to what was earned what the states behind are worth: the best action by the online network, its value by the
-/// target network.
-fn look_up<P>(
-    learner: &Learner,
-    (heads, bounded): (Heads, bool),
-    (replay, shown): (&Replay, &Shown),
-    lessons: &mut [Lesson<P>],
-    space: &mut Space,
-    target_space: &mut Space,
-) {
-    let network = &learner.network;
-    let state =
-        |lesson: &Lesson<P>| lesson.next.map(|next| (replay.shown(next.place), lesson.is_mirrored));
-    let online = space.hidden(network, &learner.online, shown, lessons.iter().filter_map(state));
-    let target =
-        target_space.hidden(network, &learner.target, shown, lessons.iter().filter_map(state));
-    let width = network.width();
-    let hidden = online.chunks_exact(width).zip(target.chunks_exact(width));
-    let (mut chosen, mut worth) = (Vec::new(), Vec::new());
-    let followed = lessons.iter_mut().filter_map(|lesson| Some((lesson.next?, lesson)));
-    for ((next, lesson), (online, target)) in followed.zip(hidden) {
-        for (goal, sum) in lesson.goals.iter_mut().filter(|(goal, _)| *goal != NONE) {
-            heads.values(network, &learner.online, online, (*goal).into(), &mut chosen);
-            heads.values(network, &learner.target, target, (*goal).into(), &mut worth);
-            let value = worth[best(&chosen, next.mask)];
-            *sum += next.discount * if bounded { value.clamp(0.0, 1.0) } else { value };
+    /// What was earned, and what the states behind are worth: the best action by the online network, its value by the
+    /// target network.
+    fn find_targets(self, network: &Network, shard: &mut Shard<'_, Memory>) {
+        let Shard { spare, online, target, space, .. } = shard;
+        let Memory { rows, places, actions, targets, .. } = &mut **space;
+        rows.clear();
+        places.clear();
+        let followed = self.lessons.iter().filter_map(|lesson| Some((lesson, lesson.next?)));
+        for (row, (lesson, next)) in followed.clone().enumerate() {
+            self.shown.push(self.replay.steps.state(next.place), lesson.is_mirrored, rows);
+            places.extend(lesson.goals().map(|(goal, _)| network.place(row, goal)));
         }
+        let mut worth = Vec::new();
+        // Convolutions are over one picture at least.
+        if !places.is_empty() {
+            let mut pass = spare.begin(online);
+            let hidden = network.hidden(&mut pass, rows);
+            let values = network.values(&mut pass, hidden, places);
+            let masks = followed.flat_map(|(lesson, next)| lesson.goals().map(move |_| next.mask));
+            let values = pass.values(values).chunks_exact(network.heads.actions);
+            actions.clear();
+            actions.extend(values.zip(masks).map(|(values, mask)| best(values, mask) as u32));
+            let mut pass = spare.begin(target);
+            let hidden = network.hidden(&mut pass, rows);
+            let values = network.values(&mut pass, hidden, places);
+            let chosen = pass.pick(values, actions);
+            worth.extend_from_slice(pass.values(chosen));
+        }
+        let mut worth = worth.into_iter();
+        targets.clear();
+        for lesson in self.lessons {
+            targets.extend(lesson.goals().map(|(_, earned)| {
+                let value =
+                    lesson.next.and_then(|next| Some(next.discount * self.bound(worth.next()?)));
+                earned + value.unwrap_or(0.0)
+            }));
+        }
+    }
+
+    fn bound(self, value: f32) -> f32 {
+        if self.bounded { value.clamp(0.0, 1.0) } else { value }
     }
 }

@@ -5,30 +5,28 @@ mod learning;
 #[cfg(test)]
 pub(crate) mod naive;
 mod play;
-mod priorities;
 mod replay;
-mod windows;
+mod returns;
 
 use serde::Serialize;
 use sortie_envs::{Spec, View};
 use sortie_learn::configuration::Range::{Number, Numbers, Whole};
 use sortie_learn::configuration::{OptimiserConfig, SHARE};
+use sortie_learn::learner::Rules;
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::Setup;
 use sortie_learn::{LearnError, Now, section};
+use sortie_nn::optimise::AdamRules;
 use sortie_nn::schedule::linear;
 
 use crate::pictures::{Body, Shown};
 
 pub(crate) use deployed::deployed;
-pub(crate) use learning::{Lesson, Memory, Next, descend};
-pub use play::Mask;
-pub(crate) use play::{Actors, Chances, Chooser, Player, Recorder};
-pub(crate) use replay::{Finished, NONE, OptionPlace, Place, Replay};
-pub(crate) use windows::{CourseRules, ReturnRules, course, window};
-
-#[cfg(test)]
-pub(crate) use replay::{End, Moment};
+pub(crate) use learning::{Lesson, Lessons, QNetwork};
+pub(crate) use play::{Actors, Chances, Chooser, Recorder};
+pub use play::{Mask, MaskCounts, Measured};
+pub(crate) use replay::{Finished, NONE, Note, OptionPlace, Replay};
+pub(crate) use returns::{Course, CourseRules, Next, Paid, ReturnRules, course, returns};
 
 section! {
     /// What is kept, and how much of it an update of the controller sees.
@@ -125,6 +123,12 @@ pub(crate) fn shown(
     Shown::new(spec, crop, nearest, body == Body::Convolution).ok_or_else(|| {
         LearnError::Config(format!("`network.crop` is {crop}: the picture has no such middle"))
     })
+}
+
+/// How weights follow the gradient.
+pub(crate) fn rules(optimiser: &OptimiserConfig, weights: &WeightsConfig) -> Rules {
+    let rules = Rules::from(optimiser);
+    Rules { adam: AdamRules { decay: weights.decay, ..rules.adam }, ..rules }
 }
 
 /// A reward as it is learned: `sign(r) log2(1 + abs(r))` where that is wanted.

@@ -4,10 +4,11 @@ use serde::{Deserialize, Serialize};
 use sortie_core::options::{least_missed, view_of};
 use sortie_envs::random::{below, chance, unit};
 use sortie_envs::{EntitySet, Environment, Observation, Random};
-use sortie_learn::{LearnError, Scene, Scenes, State, Transition, words};
+use sortie_learn::trajectory::Place;
+use sortie_learn::{Act, LearnError, Scene, Scenes, State, Transition, words};
 
-use super::replay::{End, Finished, Moment, NONE, Place, Replay};
-use crate::pictures::{Heads, Network, Shown, Space, best};
+use super::replay::{Finished, NONE, Note, Replay};
+use crate::pictures::{Network, Shown, Space, best};
 
 /// What an instance is doing.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -69,7 +70,6 @@ pub(crate) struct Actors<'a> {
     /// Steps after which an option is over without a milestone.
     pub(crate) option_steps: u8,
     pub(crate) shown: &'a Shown,
-    pub(crate) heads: Heads,
     pub(crate) controller: (&'a Network, &'a [f32]),
     /// What goals are chosen by; agents of a single goal choose nothing.
     pub(crate) chooser: Option<Chooser<'a>>,
@@ -84,7 +84,6 @@ pub(crate) struct Chooser<'a> {
     pub(crate) threshold: f32,
     /// Whether milestones that were never reached count as afforded.
     pub(crate) unreached: bool,
-    pub(crate) heads: Heads,
     pub(crate) meta: (&'a Network, &'a [f32]),
     pub(crate) classifier: (&'a Network, &'a [f32]),
     /// Milestones, as bits, that were ever reached, and those that the classifier knows both classes of.
@@ -117,7 +116,6 @@ pub(crate) struct Player {
     /// Whether what an instance is in has been looked at already.
     looked: Vec<bool>,
     space: Space,
-    values: Vec<f32>,
 }
 
 impl Player {
@@ -143,25 +141,25 @@ impl Player {
         });
         let deciding: Vec<&Scene<'_>> = deciding.collect();
         self.decide(actors, scenes.environment, &deciding, chances, random);
-        let mut greedy = Vec::new();
+        let (choices, mut greedy) = (actors.controller.0.heads.actions, Vec::new());
         for (place, scene) in scenes.scenes.iter().enumerate() {
             self.running[scene.instance].steps += 1;
             let random = &mut random[scene.instance];
             if chance(random, chances.actions.into()) {
-                actions[place] = below(random, actors.heads.actions) as u16;
+                actions[place] = below(random, choices) as u16;
             } else {
                 greedy.push((place, scene.instance));
             }
         }
-        let Self { running, shown, space, values, .. } = self;
-        let (network, weights) = actors.controller;
-        let states = greedy.iter().map(|(_, instance)| (&*shown[*instance], false));
-        let hidden = space.hidden(network, weights, actors.shown, states);
-        for ((place, instance), hidden) in greedy.iter().zip(hidden.chunks_exact(network.width())) {
-            let goal = running[*instance].goal.into();
-            actors.heads.values(network, weights, hidden, goal, values);
+        let Self { running, shown, space, .. } = self;
+        let states = greedy.iter().map(|(_, instance)| {
+            let goal = running[*instance].goal;
+            (&*shown[*instance], goal.into())
+        });
+        let values = space.values(actors.controller, actors.shown, states);
+        for ((place, instance), values) in greedy.iter().zip(values.chunks_exact(choices)) {
             let met = if chances.varied { running[*instance].meets(&shown[*instance]) } else { 0 };
-            actions[*place] = ranked(values, met % actors.heads.actions) as u16;
+            actions[*place] = ranked(values, met % choices) as u16;
         }
     }
 
@@ -195,13 +193,11 @@ impl Player {
             return;
         };
         let masks = self.masks(chooser, actors.shown, environment, scenes);
-        let Self { running, shown, space, values, .. } = self;
-        let (network, weights) = chooser.meta;
-        let states = scenes.iter().map(|scene| (&*shown[scene.instance], false));
-        let hidden = space.hidden(network, weights, actors.shown, states);
-        let milestones = actors.heads.goals;
-        for ((scene, mask), hidden) in
-            scenes.iter().zip(masks).zip(hidden.chunks_exact(network.width()))
+        let Self { running, shown, space, .. } = self;
+        let states = scenes.iter().map(|scene| (&*shown[scene.instance], 0));
+        let values = space.values(chooser.meta, actors.shown, states);
+        let milestones = chooser.meta.0.heads.actions;
+        for ((scene, mask), values) in scenes.iter().zip(masks).zip(values.chunks_exact(milestones))
         {
             let random = &mut random[scene.instance];
             let number = unit(random) as f32;
@@ -215,7 +211,6 @@ impl Player {
             } else if number < chances.goals + chances.afforded {
                 seldom(mask, milestones, chances.reached, random)
             } else {
-                chooser.heads.values(network, weights, hidden, 0, values);
                 best(values, running.least_missed(mask))
             };
             running.goal = goal as u8;
@@ -230,8 +225,7 @@ impl Player {
         environment: &dyn Environment,
         scenes: &[&Scene<'_>],
     ) -> Vec<u32> {
-        let (network, weights) = chooser.classifier;
-        let milestones = network.outputs();
+        let milestones = chooser.classifier.0.heads.actions;
         let all = u32::MAX >> (32 - milestones);
         let masks: Vec<u32> = match chooser.mask {
             Mask::None => vec![all; scenes.len()],
@@ -240,17 +234,12 @@ impl Player {
                 scenes.iter().map(|scene| truth(scene).unwrap_or(all)).collect()
             }
             Mask::Learned => {
-                let Self { shown: states, space, values, .. } = self;
-                let states = scenes.iter().map(|scene| (&*states[scene.instance], false));
-                let hidden = space.hidden(network, weights, shown, states);
-                values.resize(milestones, 0.0);
-                let threshold = chooser.threshold;
-                let least = (threshold / (1.0 - threshold)).ln();
-                let mask = |hidden: &[f32]| {
-                    network.read(weights, hidden, 0..milestones, values);
-                    mask(values, least, chooser.known, chooser.unreached)
-                };
-                hidden.chunks_exact(network.width()).map(mask).collect()
+                let Self { shown: states, space, .. } = self;
+                let states = scenes.iter().map(|scene| (&*states[scene.instance], 0));
+                let logits = space.values(chooser.classifier, shown, states);
+                let least = (chooser.threshold / (1.0 - chooser.threshold)).ln();
+                let mask = |logits| mask(logits, least, chooser.known, chooser.unreached);
+                logits.chunks_exact(milestones).map(mask).collect()
             }
         };
         masks.into_iter().map(|mask| if mask == 0 { all } else { mask }).collect()
@@ -291,6 +280,69 @@ fn seldom(mask: u32, milestones: usize, reached: &[u64], random: &mut Random) ->
         .unwrap_or(0)
 }
 
+/// What masks say of a milestone beside the truth, over all choices of a goal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MaskCounts {
+    /// Choices where it could be reached.
+    pub afforded: u64,
+    /// Those of them where the mask hides it.
+    pub over_pruned: u64,
+    /// Choices where it could not be reached.
+    pub others: u64,
+    /// Those of them where the mask lets it through.
+    pub under_pruned: u64,
+}
+
+/// An agent that is measured.
+#[derive(Debug)]
+pub struct Measured<'a> {
+    actors: Actors<'a>,
+    chances: Chances<'static>,
+    player: Player,
+    /// By milestones: the masks that goals were chosen from so far, where the environment knows the truth. None of agents
+    /// that choose no goals.
+    pub masks: Vec<MaskCounts>,
+}
+
+impl<'a> Measured<'a> {
+    pub(crate) fn new(actors: Actors<'a>, chances: Chances<'static>) -> Self {
+        let milestones = actors.chooser.map_or(0, |chooser| chooser.meta.0.heads.actions);
+        let masks = vec![MaskCounts::default(); milestones];
+        Self { actors, chances, player: Player::default(), masks }
+    }
+
+    /// Holds the masks of the goals that were just chosen against the truth.
+    fn count_masks(&mut self, scenes: &Scenes<'_>) {
+        for scene in scenes.scenes {
+            let running = &self.player.running[scene.instance];
+            if running.steps != 1 || self.masks.is_empty() {
+                continue;
+            }
+            let Some(truth) = scenes.environment.affordances(scene.state) else { return };
+            for (milestone, counts) in self.masks.iter_mut().enumerate() {
+                let is = |set: u32| u64::from(set >> milestone & 1);
+                counts.afforded += is(truth);
+                counts.over_pruned += is(truth & !running.mask);
+                counts.others += is(!truth);
+                counts.under_pruned += is(running.mask & !truth);
+            }
+        }
+    }
+}
+
+impl Act for Measured<'_> {
+    fn act(
+        &mut self,
+        scenes: &Scenes<'_>,
+        random: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        self.player.act(self.actors, scenes, self.chances, random, actions);
+        self.count_masks(scenes);
+        Ok(())
+    }
+}
+
 /// Agents at work, and what is kept of what they did.
 #[derive(Debug)]
 pub(crate) struct Recorder {
@@ -298,11 +350,14 @@ pub(crate) struct Recorder {
     pub(crate) replay: Replay,
     /// The first step of the running option of each instance.
     started: Vec<Option<Place>>,
+    /// Milestones that the running episode of each instance has reached, as bits.
+    met: Vec<u32>,
 }
 
 impl Recorder {
     pub(crate) fn new(instances: usize, replay: Replay) -> Self {
-        Self { player: Player::default(), replay, started: vec![None; instances] }
+        let (started, met) = (vec![None; instances], vec![0; instances]);
+        Self { player: Player::default(), replay, started, met }
     }
 
     /// Keeps a step, and the option that is over behind it, if one is.
@@ -321,33 +376,26 @@ impl Recorder {
         self.player.look(shown, environment, &scene);
         let over = running.steps >= option_steps;
         let ends_option = reached != NONE || over || step.done();
-        let moment = Moment {
-            action: transition.actions[0] as u8,
+        let milestone = 1_u32.checked_shl(reached.into()).unwrap_or(0);
+        let note = Note {
             goal: running.goal,
             reached,
+            is_first: milestone & !self.met[instance] != 0,
             option_reached: NONE,
             changed_nothing: reached == NONE && before == self.player.seen[instance].rows,
             ends_option,
-            terminated: step.terminated,
-            is_last: false,
         };
-        let place = self.replay.push(instance, &state, moment);
+        self.met[instance] = if step.done() { 0 } else { self.met[instance] | milestone };
+        // States are kept as networks are shown them.
+        let next = &self.player.shown[instance];
+        let place = self.replay.push(&Transition { state: &state, next, ..*transition }, note);
         let start = *self.started[instance].get_or_insert(place);
         if !ends_option {
             return None;
         }
         self.started[instance] = None;
         self.player.running[instance].is_over = true;
-        let end = match step {
-            _ if step.terminated => End::Terminated,
-            _ if step.timed_out => End::TimedOut,
-            _ => End::GoesOn,
-        };
-        if step.done() {
-            let last = Moment { is_last: true, ..moment };
-            self.replay.push(instance, &self.player.shown[instance], last);
-        }
-        let Running { goal, steps, mask, .. } = running;
+        let (Running { goal, steps, mask, .. }, end) = (running, self.replay.steps.end(place));
         let option = Finished { start, steps, goal, reached, mask, end };
         self.replay.finish(option);
         Some(option)
@@ -356,7 +404,8 @@ impl Recorder {
     pub(crate) fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
         self.replay.state(state)?;
         state.value("running", &mut self.player.running)?;
-        state.value("started", &mut self.started)
+        state.value("started", &mut self.started)?;
+        state.value("met", &mut self.met)
     }
 }
 

@@ -1,15 +1,15 @@
-//! Networks over pictures: what they are shown of one, and weights that learn.
+//! Networks over pictures, and what they are shown of one.
 
-mod heads;
 mod network;
 
 use sortie_core::options::{self, LEVELS, PictureShape};
 use sortie_envs::{Spec, View};
 use sortie_nn::layers::SparseRows;
 
-pub(crate) use heads::{Heads, Learner, best};
 pub use network::Body;
-pub(crate) use network::{Network, NetworkShape, Space, slopes};
+#[cfg(test)]
+pub(crate) use network::naive;
+pub(crate) use network::{Heads, Network, NetworkShape, Space, best};
 
 /// How a row of an observation, a picture and counts, becomes bytes that can be kept and columns of a network: as where
 /// agents are deployed.

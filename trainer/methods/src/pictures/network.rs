@@ -1,7 +1,7 @@
-//! The networks: a body, two hidden layers over sparse inputs or convolutions as the public code of HAL has them, and a
-//! head.
+//! The networks, on the tape: a body, two hidden layers over sparse inputs or convolutions as the public code of HAL has
+//! them, and a head, the values of actions.
 
-use sortie_core::options::PictureShape;
+use sortie_core::options::{self, PictureShape};
 use sortie_learn::export::DenseLayer;
 use sortie_learn::words;
 use sortie_nn::layers::SparseRows;
@@ -36,14 +36,38 @@ pub(crate) struct NetworkShape {
     /// Those of them that differ from zero, which the first weights are sized for.
     pub(crate) active: usize,
     pub(crate) width: usize,
-    pub(crate) outputs: usize,
+    pub(crate) heads: Heads,
 }
 
-/// A network, and how its head is read.
+/// Values of all actions for each goal.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Heads {
+    pub(crate) goals: usize,
+    pub(crate) actions: usize,
+    /// Whether they are a value of the state and advantages (Wang et al. 2016); they stand for themselves otherwise.
+    pub(crate) dueling: bool,
+}
+
+impl Heads {
+    pub(crate) fn outputs(self) -> usize {
+        self.goals * (usize::from(self.dueling) + self.actions)
+    }
+
+    /// Of a head whose actions are these goals.
+    pub(crate) fn of_goals(self, dueling: bool) -> Self {
+        Self { goals: 1, actions: self.goals, dueling }
+    }
+}
+
+/// The first of the largest numbers among those that a mask holds.
+pub(crate) fn best(values: &[f32], mask: u32) -> usize {
+    options::best(values, |index| mask >> index & 1 == 1).unwrap_or(0)
+}
+
+/// The layers of a network.
 #[derive(Clone, Debug)]
 pub(crate) struct Network {
-    /// The first weights that were drawn, and their names.
-    pub(crate) parameters: Parameters,
+    pub(crate) heads: Heads,
     body: OwnBody,
     head: Linear,
 }
@@ -56,52 +80,72 @@ enum OwnBody {
 
 impl Network {
     /// Draws the first weights, as the body asks for.
-    pub(crate) fn new(shape: NetworkShape, random: &mut Generator) -> Self {
-        match shape.body {
-            Body::Layers => Self::of_layers(shape, random),
+    pub(crate) fn new(shape: NetworkShape, random: &mut Generator) -> (Self, Parameters) {
+        let mut parameters = Parameters::default();
+        let NetworkShape { body, picture, width, heads, .. } = shape;
+        let (body, head) = match body {
+            Body::Layers => Self::layers(&mut parameters, shape, random),
             Body::Convolution => {
-                let mut parameters = Parameters::default();
-                let NetworkShape { picture, width, outputs, .. } = shape;
                 let body = Convolution::new(&mut parameters, picture, width, random);
-                let head = parameters.orthogonal("head", width, outputs, random);
-                Self { parameters, body: OwnBody::Convolution(body), head }
+                let head = parameters.orthogonal("head", width, heads.outputs(), random);
+                (OwnBody::Convolution(body), head)
             }
-        }
+        };
+        (Self { heads, body, head }, parameters)
     }
 
-    /// Draws the first weights: for inputs most of which are zero (He et al. 2015), small ones for the head.
-    fn of_layers(shape: NetworkShape, random: &mut Generator) -> Self {
-        let mut parameters = Parameters::default();
-        let NetworkShape { columns, active, width, outputs, .. } = shape;
-        let mut layer = |name: &str, shape: [usize; 2], sizes: [usize; 2], bound: f32| {
-            let weight = parameters.tensor(&format!("{name}.weight"), &shape, bound, random);
-            let bias = parameters.tensor(&format!("{name}.bias"), &[sizes[1]], 0.0, random);
-            let shape = LinearShape { input: sizes[0], output: sizes[1] };
-            Linear { shape, weight, bias: Some(bias) }
+    /// For inputs most of which are zero (He et al. 2015), with a head of small weights.
+    fn layers(
+        parameters: &mut Parameters,
+        shape: NetworkShape,
+        random: &mut Generator,
+    ) -> (OwnBody, Linear) {
+        let NetworkShape { columns, active, width, heads, .. } = shape;
+        let mut layer = |name: &str, [input, output]: [usize; 2], is_sparse: bool, bound: f32| {
+            let sizes = if is_sparse { [input, output] } else { [output, input] };
+            let weight = parameters.tensor(&format!("{name}.weight"), &sizes, bound, random);
+            let bias = Some(parameters.tensor(&format!("{name}.bias"), &[output], 0.0, random));
+            Linear { shape: LinearShape { input, output }, weight, bias }
         };
         let he = |inputs: usize| (6.0 / inputs as f32).sqrt();
-        let first = layer("first", [columns, width], [columns, width], he(active));
-        let second = layer("second", [width, width], [width, width], he(width));
+        let first = layer("first", [columns, width], true, he(active));
+        let second = layer("second", [width, width], false, he(width));
         let bound = 0.1 / (width as f32).sqrt();
-        let head = layer("head", [outputs, width], [width, outputs], bound);
-        Self { parameters, body: OwnBody::Layers([first, second]), head }
+        (OwnBody::Layers([first, second]), layer("head", [width, heads.outputs()], false, bound))
     }
 
     /// The last hidden layer, `[rows, width]`.
     pub(crate) fn hidden(&self, pass: &mut Pass<'_>, rows: &SparseRows) -> Var {
         match &self.body {
             OwnBody::Layers([first, second]) => {
-                let x = pass.sparse_linear(rows, *first);
-                let x = pass.relu(x);
+                let x = pass.sparse_linear_rectified(rows, *first);
                 pass.linear_rectified(x, *second)
             }
             OwnBody::Convolution(body) => body.hidden(pass, rows),
         }
     }
 
-    /// What the head makes of it, `[rows, outputs]`.
-    pub(crate) fn head(&self, pass: &mut Pass<'_>, hidden: Var) -> Var {
-        pass.linear(hidden, self.head)
+    /// `[places, actions]`: what actions are worth by the last hidden layer, at [places](Self::place) of a row and a goal.
+    pub(crate) fn values(&self, pass: &mut Pass<'_>, hidden: Var, places: &[u32]) -> Var {
+        let Heads { goals, actions, dueling } = self.heads;
+        let all = pass.linear(hidden, self.head);
+        let at_places = |pass: &mut Pass<'_>, numbers: Var, columns: usize| {
+            let by_goal = pass.reshape(numbers, columns);
+            pass.gather(by_goal, places)
+        };
+        if !dueling {
+            return at_places(pass, all, actions);
+        }
+        let values = pass.columns(all, 0..goals);
+        let values = at_places(pass, values, 1);
+        let advantages = pass.columns(all, goals..goals + goals * actions);
+        let advantages = at_places(pass, advantages, actions);
+        pass.dueling(values, advantages)
+    }
+
+    /// Where the values of a row for a goal are.
+    pub(crate) fn place(&self, row: usize, goal: usize) -> u32 {
+        (row * self.heads.goals + goal) as u32
     }
 
     /// The layers by these weights, as they are deployed; none of convolutions.
@@ -109,108 +153,81 @@ impl Network {
         let OwnBody::Layers([first, second]) = self.body else { return None };
         Some([first, second, self.head].map(|layer| {
             let LinearShape { input, output } = layer.shape;
-            let part = |start: usize, length: usize| weights[start..start + length].to_vec();
-            let weight = part(layer.weight, input * output);
-            let bias = part(layer.bias.expect("every layer has one"), output);
+            let weight = &weights[layer.weight_range()];
+            let bias = layer.bias_range().map_or(Vec::new(), |range| weights[range].to_vec());
             // The first layer sums up rows of columns that differ from zero; it stands turned.
+            let own = |number: usize| weight.iter().skip(number).step_by(output).copied();
             let is_turned = layer == first;
-            let own = |output_: usize| weight.iter().skip(output_).step_by(output).copied();
-            let weight = if is_turned { (0..output).flat_map(own).collect() } else { weight };
+            let weight =
+                if is_turned { (0..output).flat_map(own).collect() } else { weight.to_vec() };
             DenseLayer { inputs: input, weight, bias }
         }))
-    }
-
-    pub(crate) fn outputs(&self) -> usize {
-        self.head.shape.output
     }
 
     pub(crate) fn width(&self) -> usize {
         self.head.shape.input
     }
-
-    /// Some numbers of the head by weights `[outputs, width]` of a hidden row.
-    pub(crate) fn read(
-        &self,
-        weights: &[f32],
-        hidden: &[f32],
-        outputs: impl Iterator<Item = usize>,
-        to: &mut [f32],
-    ) {
-        let bias = self.head.bias.expect("every layer has one");
-        for (to, output) in to.iter_mut().zip(outputs) {
-            let row = &weights[self.head.weight + output * hidden.len()..][..hidden.len()];
-            *to = weights[bias + output] + dot(row, hidden);
-        }
-    }
-}
-
-/// The product of two rows, in eight sums that the compiler keeps apart.
-fn dot(one: &[f32], other: &[f32]) -> f32 {
-    let mut sums = [0.0; 8];
-    for (one, other) in one.chunks_exact(8).zip(other.chunks_exact(8)) {
-        for (sum, (one, other)) in sums.iter_mut().zip(one.iter().zip(other)) {
-            *sum += one * other;
-        }
-    }
-    sums.iter().sum()
 }
 
 /// Rows of a pass: what fits beside the weights into the caches.
 const ROWS: usize = 128;
 
-/// Memory of passes without gradients, and of the rows that are shown.
+/// Memory of passes without gradients.
 #[derive(Debug, Default)]
 pub(crate) struct Space {
-    pub(crate) tape: Tape,
-    pub(crate) rows: SparseRows,
-    hidden: Vec<f32>,
+    tape: Tape,
+    rows: SparseRows,
+    places: Vec<u32>,
+    found: Vec<f32>,
 }
 
 impl Space {
-    /// The last hidden layer `[states, width]` for the bytes of states.
+    /// `[states, actions]`: what actions are worth, for the bytes of states and a goal each.
+    pub(crate) fn values<'s>(
+        &mut self,
+        (network, weights): (&Network, &[f32]),
+        shown: &Shown,
+        states: impl Iterator<Item = (&'s [u8], usize)>,
+    ) -> &[f32] {
+        self.run((network, weights), shown, states, |pass, hidden, places| {
+            network.values(pass, hidden, places)
+        })
+    }
+
+    /// `[states, width]`: the last hidden layer.
     pub(crate) fn hidden<'s>(
         &mut self,
-        network: &Network,
-        weights: &[f32],
+        network: (&Network, &[f32]),
         shown: &Shown,
-        states: impl Iterator<Item = (&'s [u8], bool)>,
+        states: impl Iterator<Item = &'s [u8]>,
     ) -> &[f32] {
-        self.hidden.clear();
+        self.run(network, shown, states.map(|state| (state, 0)), |_, hidden, _| hidden)
+    }
+
+    fn run<'s>(
+        &mut self,
+        (network, weights): (&Network, &[f32]),
+        shown: &Shown,
+        states: impl Iterator<Item = (&'s [u8], usize)>,
+        read: impl Fn(&mut Pass<'_>, Var, &[u32]) -> Var,
+    ) -> &[f32] {
+        let Self { tape, rows, places, found } = self;
+        found.clear();
         let mut states = states.peekable();
         while states.peek().is_some() {
-            self.rows.clear();
-            for (bytes, is_mirrored) in states.by_ref().take(ROWS) {
-                shown.push(bytes, is_mirrored, &mut self.rows);
+            rows.clear();
+            places.clear();
+            for (row, (bytes, goal)) in states.by_ref().take(ROWS).enumerate() {
+                shown.push(bytes, false, rows);
+                places.push(network.place(row, goal));
             }
-            let mut pass = self.tape.begin(weights);
-            let hidden = network.hidden(&mut pass, &self.rows);
-            self.hidden.extend_from_slice(pass.values(hidden));
+            let mut pass = tape.begin(weights);
+            let hidden = network.hidden(&mut pass, rows);
+            let read = read(&mut pass, hidden, places);
+            found.extend_from_slice(pass.values(read));
         }
-        &self.hidden
+        found
     }
-
-    /// The same for rows of columns.
-    pub(crate) fn hidden_of(
-        &mut self,
-        network: &Network,
-        weights: &[f32],
-        rows: &SparseRows,
-    ) -> &[f32] {
-        let mut pass = self.tape.begin(weights);
-        let hidden = network.hidden(&mut pass, rows);
-        self.hidden.clear();
-        self.hidden.extend_from_slice(pass.values(hidden));
-        &self.hidden
-    }
-}
-
-/// A number whose slopes by a matrix are these: what a loss that was computed by hand tells a tape.
-pub(crate) fn slopes(pass: &mut Pass<'_>, x: Var, slopes: &[f32]) -> Var {
-    let columns = pass.size(x)[1];
-    let given = pass.input(columns, slopes);
-    let product = pass.multiply(x, given);
-    let sums = pass.sum_columns(product);
-    pass.sum_rows(sums)
 }
 
 /// Sides and numbers of the kernels.
@@ -283,7 +300,6 @@ mod tests {
     use sortie_nn::random::stream;
 
     use super::*;
-    use crate::pictures::heads::Heads;
 
     #[test]
     fn published_networks_have_as_many_weights_as_published() {
@@ -297,11 +313,10 @@ mod tests {
             let picture = PictureShape { channels, size: 11, counts, crop: 11, nearest: false };
             let controller = Heads { goals, actions, dueling: true };
             let body = |width: usize| {
-                let (body, columns, active, outputs) = (Body::Convolution, 0, 0, 1);
-                let shape = NetworkShape { body, picture, columns, active, width, outputs };
-                let mut random = sortie_nn::random::stream(1, 1, 0);
-                let network = Network::new(shape, &mut random);
-                network.parameters.values.len() - (width + 1)
+                let heads = Heads { goals: 1, actions: 1, dueling: false };
+                let (body, columns, active) = (Body::Convolution, 0, 0);
+                let shape = NetworkShape { body, picture, columns, active, width, heads };
+                Network::new(shape, &mut stream(1, 1, 0)).1.values.len() - (width + 1)
             };
             let (wide, embedding) = (body(512), body(128));
             let found = [
@@ -405,5 +420,66 @@ mod tests {
                 loss(&weights, None)
             });
         }
+    }
+
+    #[test]
+    fn values_are_those_of_the_numbers_of_a_head_and_have_their_gradient() {
+        for dueling in [true, false] {
+            let heads = Heads { goals: 3, actions: 4, dueling };
+            assert_eq!(heads.outputs(), if dueling { 15 } else { 12 });
+            let (body, columns, active, width) = (Body::Layers, 5, 5, 8);
+            let shape = NetworkShape { body, picture: PICTURE, columns, active, width, heads };
+            let (network, parameters) = Network::new(shape, &mut stream(1, 1, 0));
+            let (hidden, places) = (random(2, 16), [(0, 2), (0, 1), (1, 2)]);
+            let find = |weights: &[f32], gradient: Option<&mut [f32]>| {
+                let mut tape = Tape::default();
+                let mut pass = tape.begin(weights);
+                let hidden = pass.input(8, &hidden);
+                let places = places.map(|(row, goal)| network.place(row, goal));
+                let values = network.values(&mut pass, hidden, &places);
+                let found = pass.values(values).to_vec();
+                let loss = pass.squared_error(values, &random(7, 12), 0.5);
+                let loss_of = f64::from(pass.values(loss)[0]);
+                gradient.into_iter().for_each(|gradient| pass.backward(loss, gradient));
+                (found, loss_of)
+            };
+            let mut gradient = vec![0.0; parameters.values.len()];
+            let (found, _) = find(&parameters.values, Some(&mut gradient));
+            assert_gradient("values", &parameters.values, &gradient, |it| find(it, None).1);
+            for ((row, goal), found) in places.into_iter().zip(found.chunks_exact(4)) {
+                let hidden = &hidden[8 * row..][..8];
+                let want = naive::values((&network, &parameters.values), hidden, goal);
+                for (want, found) in want.iter().zip(found) {
+                    assert!((want - found).abs() < 1e-6, "{want} {found}");
+                }
+            }
+        }
+        assert_eq!(best(&[1.0, 3.0, 3.0, 2.0], 0b1101), 2);
+        assert_eq!(best(&[1.0, 3.0, 3.0, 2.0], u32::MAX), 1);
+    }
+}
+
+/// Values number by number, for tests.
+#[cfg(test)]
+pub(crate) mod naive {
+    use super::*;
+
+    /// What a head makes of a hidden row for a goal: the value and advantages less their mean, or the values themselves.
+    pub(crate) fn values(
+        (network, weights): (&Network, &[f32]),
+        hidden: &[f32],
+        goal: usize,
+    ) -> Vec<f32> {
+        let Heads { goals, actions, dueling } = network.heads;
+        let bias = &weights[network.head.bias_range().unwrap()];
+        let number = |output: usize| {
+            let row = &weights[network.head.weight + output * hidden.len()..];
+            bias[output] + row.iter().zip(hidden).map(|(weight, x)| weight * x).sum::<f32>()
+        };
+        let first = goal * actions + if dueling { goals } else { 0 };
+        let all: Vec<f32> = (first..first + actions).map(number).collect();
+        let mean = all.iter().sum::<f32>() / actions as f32;
+        let level = if dueling { number(goal) - mean } else { 0.0 };
+        all.iter().map(|it| it + level).collect()
     }
 }

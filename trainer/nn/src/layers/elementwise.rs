@@ -23,6 +23,8 @@ pub enum Activation {
     Elu,
     /// `exp(x)`
     Exp,
+    /// The square root.
+    Root,
     /// The nearest number between two bounds.
     Clamp(f32, f32),
 }
@@ -36,6 +38,7 @@ pub fn activate(activation: Activation, x: &[f32], y: &mut [f32]) {
         Activation::Sigmoid => map(x, y, math::sigmoid),
         Activation::Elu => map(x, y, |x| if x > 0.0 { x } else { math::exp(x) - 1.0 }),
         Activation::Exp => map(x, y, math::exp),
+        Activation::Root => map(x, y, f32::sqrt),
         Activation::Clamp(least, most) => map(x, y, move |x| x.clamp(least, most)),
     }
 }
@@ -59,6 +62,7 @@ pub fn activate_backward(
             join(y, d_y, store, d_x, |y, d| if y > 0.0 { d } else { d * (y + 1.0) });
         }
         Activation::Exp => multiply(y, d_y, store, d_x),
+        Activation::Root => join(y, d_y, store, d_x, |y, d| 0.5 * d / y),
         Activation::Clamp(least, most) => {
             let within = move |y: f32| y > least && y < most;
             join(y, d_y, store, d_x, move |y, d| if within(y) { d } else { 0.0 });

@@ -61,6 +61,11 @@ impl Pass<'_> {
         self.activate(x, Activation::Exp)
     }
 
+    /// The square root, whose slope at 0 is infinite.
+    pub fn root(&mut self, x: Var) -> Var {
+        self.activate(x, Activation::Root)
+    }
+
     /// The nearest number between two bounds, at which there is no slope.
     pub fn clamp(&mut self, x: Var, least: f32, most: f32) -> Var {
         self.activate(x, Activation::Clamp(least, most))

@@ -98,6 +98,11 @@ fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
     check("absolute value", |t, x| t.abs(x));
     check("elu", |t, x| t.elu(x));
     check("exp", |t, x| t.exp(x));
+    check("root", |t, x| {
+        let squares = t.multiply(x, x);
+        let positive = t.offset(squares, 0.1);
+        t.root(positive)
+    });
     check("clamp", |t, x| t.clamp(x, -0.4, 0.3));
     check("weighted sum", |t, x| t.weighted_sum(x, &random(6, 24)));
     check("product", |t, x| {

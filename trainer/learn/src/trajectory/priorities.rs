@@ -1,4 +1,20 @@
 //! Items drawn as often as their errors were large (prioritised replay, Schaul et al. 2016).
+//!
+//! Items are numbers: those of states are [`slot`](super::Trajectories::slot)s, other things are numbered by whoever keeps
+//! them.
+//!
+//! ```
+//! # use sortie_envs::random::generator;
+//! # use sortie_learn::trajectory::{Priorities, importance};
+//! let mut priorities = Priorities::new(100, 0.5);
+//! (0..10).for_each(|item| priorities.add(item));
+//! // Learned from without error it is drawn seldom.
+//! priorities.correct(3, 0.0);
+//! let mut random = generator(1);
+//! let drawn: Vec<(usize, f64)> = (0..4).filter_map(|_| priorities.draw(&mut random)).collect();
+//! let weights = importance(drawn.iter().map(|(_, priority)| *priority), 0.6);
+//! assert!(weights.into_iter().all(|weight| 0.0 < weight && weight <= 1.0));
+//! ```
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::Random;
@@ -7,9 +23,9 @@ use sortie_envs::random::unit;
 /// Added to an error, so that what is well known is still drawn.
 const LEAST: f64 = 0.001;
 
-/// What each place of a ring counts when one is drawn: leaves of a tree whose nodes are sums.
+/// What each item counts when one is drawn: leaves of a tree whose nodes are sums.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Priorities {
+pub struct Priorities {
     /// Power of an error.
     exponent: f64,
     /// Node `i` is the sum of `2 i` and `2 i + 1`; behind all nodes stand the leaves.
@@ -19,35 +35,30 @@ pub(crate) struct Priorities {
 }
 
 impl Priorities {
-    /// None of which counts yet.
-    pub(crate) fn new(places: usize, exponent: f64) -> Self {
-        Self { exponent, nodes: vec![0.0; 2 * places.next_power_of_two()], most: 1.0 }
+    /// So many items, none of which counts yet; priorities are errors to the power of `exponent`, 0 to 1.
+    pub fn new(items: usize, exponent: f64) -> Self {
+        Self { exponent, nodes: vec![0.0; 2 * items.next_power_of_two()], most: 1.0 }
     }
 
-    /// Something new stands there.
-    pub(crate) fn add(&mut self, place: usize) {
-        self.set(place, self.most);
+    /// An item is new: it counts as much as the most that ever did.
+    pub fn add(&mut self, item: usize) {
+        self.set(item, self.most);
     }
 
-    /// What stands there is not drawn any more.
-    pub(crate) fn remove(&mut self, place: usize) {
-        self.set(place, 0.0);
+    /// An item is not drawn any more.
+    pub fn remove(&mut self, item: usize) {
+        self.set(item, 0.0);
     }
 
-    /// What stands there was learned from with such an error.
-    pub(crate) fn correct(&mut self, place: usize, error: f32) {
+    /// An item was learned from with such an error.
+    pub fn correct(&mut self, item: usize, error: f32) {
         let priority = (f64::from(error.abs()) + LEAST).powf(self.exponent);
         self.most = self.most.max(priority);
-        self.set(place, priority);
+        self.set(item, priority);
     }
 
-    /// What counts there.
-    pub(crate) fn of(&self, place: usize) -> f64 {
-        self.nodes[self.nodes.len() / 2 + place]
-    }
-
-    fn set(&mut self, place: usize, priority: f64) {
-        let mut node = self.nodes.len() / 2 + place;
+    fn set(&mut self, item: usize, priority: f64) {
+        let mut node = self.nodes.len() / 2 + item;
         self.nodes[node] = priority;
         while node > 1 {
             node /= 2;
@@ -55,8 +66,8 @@ impl Priorities {
         }
     }
 
-    /// A place, as often as it counts; none where none does.
-    pub(crate) fn draw(&self, random: &mut Random) -> Option<usize> {
+    /// An item, as often as it counts, and its priority; none where none does.
+    pub fn draw(&self, random: &mut Random) -> Option<(usize, f64)> {
         let (leaves, mut node) = (self.nodes.len() / 2, 1);
         let mut left = unit(random) * self.nodes[1];
         while node < leaves {
@@ -66,12 +77,12 @@ impl Priorities {
             node = 2 * node + usize::from(!is_first);
             left -= if is_first { 0.0 } else { first };
         }
-        (self.nodes[node] > 0.0).then_some(node - leaves)
+        (self.nodes[node] > 0.0).then_some((node - leaves, self.nodes[node]))
     }
 }
 
-/// What each of some items counts in a loss, so that drawing by priorities shifts no mean: the least likely counts 1.
-pub(crate) fn importance(
+/// What the error of each drawn item is multiplied by, which makes up for how often it is drawn: the least likely counts 1.
+pub fn importance(
     priorities: impl Iterator<Item = f64> + Clone,
     exponent: f64,
 ) -> impl Iterator<Item = f32> {
@@ -100,11 +111,12 @@ mod tests {
         list[4] = list[2];
         priorities.remove(3);
         list[3] = 0.0;
-        for (place, want) in list.into_iter().enumerate() {
-            assert_eq!(priorities.of(place), want);
-        }
         let mut drawn = [0; 5];
-        (0..20_000).for_each(|_| drawn[priorities.draw(&mut random).unwrap()] += 1);
+        for _ in 0..20_000 {
+            let (place, priority) = priorities.draw(&mut random).unwrap();
+            drawn[place] += 1;
+            assert_eq!(priority, list[place]);
+        }
         let sum: f64 = list.iter().sum();
         for (found, want) in drawn.into_iter().zip(list) {
             assert!((f64::from(found) / 20_000.0 - want / sum).abs() < 0.01, "{drawn:?} {list:?}");
