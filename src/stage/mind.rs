@@ -260,3 +260,33 @@ impl Allocator for Allocators<'_> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A network of four actions behind one of three, and before it.
+    #[test]
+    fn a_team_of_several_networks_has_room_for_the_most_actions_of_any() {
+        let plan = |name: &str| {
+            let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/plans/");
+            let bytes = std::fs::read(format!("{root}{name}")).expect("the plan is in the tree");
+            AlignedBytes::copy_of(&bytes)
+        };
+        let plans = [plan("agent-odd-sizes-2.0.plan"), plan("agent-2.3.plan")];
+        let actions = |plans: &[AlignedBytes]| {
+            let arenas = plans.iter().map(|plan| {
+                let header = Plan::load(plan.as_slice()).expect("a plan").header().clone();
+                AlignedBytes::zeroed(header.arena_bytes as usize)
+            });
+            let mut arenas: Vec<AlignedBytes> = arenas.collect();
+            match Mind::of_networks(plans, &mut arenas, vec![0, 1]) {
+                Ok(Mind::Networks(policy)) => policy.actions(),
+                _ => panic!("a mind of networks"),
+            }
+        };
+        assert_eq!(actions(&plans), 4);
+        let [three, four] = plans;
+        assert_eq!(actions(&[four, three]), 4);
+    }
+}

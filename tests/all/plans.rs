@@ -183,6 +183,21 @@ fn a_forged_plan_that_its_bundle_vouches_for_never_acts() {
     }
 }
 
+/// Agents that decide by several graphs, which have no memory.
+#[test]
+fn plans_without_the_memory_that_their_bundle_states_never_act() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    for file in fs::read_dir("models/treasure-8").expect("the bundle").flatten() {
+        fs::copy(file.path(), place.path().join(file.file_name())).expect("a copy");
+    }
+    let manifest = place.path().join("bundle.toml");
+    let stated = fs::read_to_string(&manifest).expect("the manifest");
+    assert_eq!(stated.matches("hidden = 0").count(), 1);
+    fs::write(&manifest, stated.replace("hidden = 0", "hidden = 4")).expect("another manifest");
+    let words = ["the recurrent state is 0 in the file, the contract says 4"];
+    assert_fails(&output(&["eval", text(place.path()), "--episodes", "1"]), 78, &words);
+}
+
 #[test]
 fn the_int8_plan_of_a_bundle_is_judged_by_what_it_achieves() {
     let folder = tempfile::tempdir().expect("a temporary folder");

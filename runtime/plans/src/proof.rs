@@ -147,3 +147,53 @@ pub fn policy_by_agent<'a>(
     }
     Box::new(PolicyByAgent::new(policies, policy_of.to_vec(), actions))
 }
+
+#[cfg(test)]
+mod tests {
+    use sortie_core::{DecideError, Decision, EntityMask, Observation};
+
+    use super::*;
+
+    /// Takes one action, whatever it sees.
+    struct Always(u16);
+
+    impl Policy for Always {
+        fn actions(&self) -> usize {
+            4
+        }
+
+        fn utilities(
+            &mut self,
+            _: &Observation<'_>,
+            utilities: &mut [f32],
+        ) -> Result<(), DecideError> {
+            utilities.fill(0.0);
+            Ok(())
+        }
+
+        fn decide(&mut self, _: &Observation<'_>) -> Result<Decision, DecideError> {
+            Ok(Decision { action: self.0, utility: 0.0 })
+        }
+    }
+
+    #[test]
+    fn every_agent_decides_by_the_policy_that_is_named_for_it() {
+        let policies = || [3, 1].map(|action| Box::new(Always(action)) as Box<dyn Policy>).into();
+        let actions = |policy_of: &[u16]| {
+            let mut policy = policy_by_agent(policies(), policy_of, 4);
+            [0, 1, 2].map(|agent| {
+                let seen = Observation {
+                    rows: &[0.0; 3],
+                    stride: 1,
+                    last_actions: &[0; 3],
+                    visible: EntityMask::first(3),
+                    self_index: agent,
+                    available: &[1; 4],
+                };
+                policy.decide(&seen).unwrap().action
+            })
+        };
+        assert_eq!(actions(&[1, 0, 1]), [1, 3, 1]);
+        assert_eq!(actions(&[0, 0, 1]), [3, 3, 1]);
+    }
+}

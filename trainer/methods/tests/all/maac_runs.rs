@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use sortie_learn::draft::{MethodRun, draft_method};
 use sortie_learn::run::{Observer, Progress};
 use sortie_learn::session::{Opening, Setup, load_weights};
 use sortie_learn::{Act, play};
@@ -118,6 +119,27 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
         session.run(&mut (), &AtomicBool::new(false)).unwrap();
         assert_eq!(weights(whole.path()), weights(parted.path()), "{kind:?}");
     }
+}
+
+/// Rovers and towers see rows of other lengths.
+#[test]
+fn every_agent_is_exported_with_the_graph_of_its_role() {
+    let setup = pair(&["run.steps=200"]);
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = begin(setup.clone(), 1, 1, folder.path()).unwrap();
+    session.run(&mut (), &AtomicBool::new(false)).unwrap();
+    let world = environment_of(&setup).unwrap();
+    let (description, method, curve) = (session.description(), session.method(), session.curve());
+    let run = MethodRun { description, environment: &*world, method, curve };
+    let draft = draft_method(&run, folder.path(), &[world.spec().shape], &[], 1).unwrap();
+    let network = draft.network;
+    assert!(network.graphs.len() > 1, "{network:?}");
+    for (agent, graph) in network.graph_of.iter().enumerate() {
+        let features = world.spec().features_of(agent).len();
+        let graph = &network.graphs[usize::from(*graph)];
+        assert_eq!(usize::from(graph.features), features, "agent {agent}: {graph:?}");
+    }
+    assert_eq!(network.graph_of.len(), world.spec().shape.agents);
 }
 
 #[test]
