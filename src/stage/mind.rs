@@ -276,8 +276,8 @@ mod tests {
         let plans = [plan("agent-odd-sizes-2.0.plan"), plan("agent-2.3.plan")];
         let actions = |plans: &[AlignedBytes]| {
             let arenas = plans.iter().map(|plan| {
-                let header = Plan::load(plan.as_slice()).expect("a plan").header().clone();
-                AlignedBytes::zeroed(header.arena_bytes as usize)
+                let plan = Plan::load(plan.as_slice()).expect("a plan");
+                AlignedBytes::zeroed(plan.header().arena_bytes as usize)
             });
             let mut arenas: Vec<AlignedBytes> = arenas.collect();
             match Mind::of_networks(plans, &mut arenas, vec![0, 1]) {
