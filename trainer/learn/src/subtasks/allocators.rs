@@ -2,7 +2,7 @@
 
 use sortie_bundle::OwnedAllocationState;
 use sortie_core::{Allocator, EntityMask};
-use sortie_envs::{EntitySet, Environment, Observation, Random, UNASSIGNED, members};
+use sortie_envs::{EntitySet, Environment, Observation, Random, Spec, UNASSIGNED, members};
 
 use super::Allocate;
 use crate::error::LearnError;
@@ -10,6 +10,21 @@ use crate::error::LearnError;
 /// One of the [rules](sortie_envs::Spec::rules) of an environment, by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RuleAllocator<'a>(pub &'a str);
+
+impl RuleAllocator<'_> {
+    /// Its number among the rules of an environment.
+    ///
+    /// # Errors
+    /// There is no such rule; the text says which there are.
+    pub fn number(self, spec: &Spec) -> Result<usize, String> {
+        let number = spec.rules.iter().position(|rule| rule.name == self.0);
+        number.ok_or_else(|| {
+            let names: Vec<&str> = spec.rules.iter().map(|rule| rule.name).collect();
+            let (name, names) = (spec.name, names.join("`, `"));
+            format!("`{name}` has no rule `{}` of allocation; it has `{names}`", self.0)
+        })
+    }
+}
 
 impl Allocate for RuleAllocator<'_> {
     fn allocate(
@@ -19,17 +34,8 @@ impl Allocate for RuleAllocator<'_> {
         random: &mut Random,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        let spec = environment.spec();
-        let known = spec.rules.iter().position(|rule| rule.name == self.0);
-        let unknown = || {
-            let names: Vec<&str> = spec.rules.iter().map(|rule| rule.name).collect();
-            let (name, names) = (spec.name, names.join("`, `"));
-            LearnError::Team(format!(
-                "`{name}` has no rule `{}` of allocation; it has `{names}`",
-                self.0
-            ))
-        };
-        environment.allocate(known.ok_or_else(unknown)?, state, random, allocation);
+        let rule = self.number(environment.spec()).map_err(LearnError::Team)?;
+        environment.allocate(rule, state, random, allocation);
         Ok(())
     }
 }

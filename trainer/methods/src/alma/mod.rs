@@ -42,6 +42,7 @@ use sortie_envs::Spec;
 use sortie_learn::configuration::{Section, check_table};
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
+use sortie_learn::subtasks::RuleAllocator;
 use sortie_learn::{LearnError, Method};
 use toml::Table;
 
@@ -89,15 +90,8 @@ impl Config {
             Self::Records(config) => config.allocation.rules().collect(),
             Self::Windows(config) => config.rule().into_iter().collect(),
         };
-        let known: Vec<&str> = spec.rules.iter().map(|rule| rule.name).collect();
-        match rules.iter().find(|rule| !known.contains(rule)) {
-            None => Ok(()),
-            Some(rule) => Err(LearnError::Config(format!(
-                "`{}` has no rule `{rule}` of allocation; it has `{}`",
-                spec.name,
-                known.join("`, `")
-            ))),
-        }
+        let check = |rule| RuleAllocator(rule).number(spec).map(drop).map_err(LearnError::Config);
+        rules.into_iter().try_for_each(check)
     }
 
     /// What the agents see of the subtasks.

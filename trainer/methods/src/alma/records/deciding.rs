@@ -10,6 +10,7 @@ use super::history::Reached;
 use super::team_value::{Decision, Segment, Segments, TeamSearch};
 use crate::alma::agents::UtilityNetwork;
 use sortie_learn::LearnError;
+use sortie_learn::subtasks::RuleAllocator;
 
 /// The first rules of an environment stand in for an allocator that has not begun to decide, so many of them.
 const STAND_INS: usize = 2;
@@ -135,9 +136,9 @@ impl Deciding {
         let search = TeamSearch::new(allocator.shape(spec), allocation.team_max);
         // Rules that the environment does not have are of no weight.
         let by_number = |(name, weight): (&str, f64)| {
-            let rule = spec.rules.iter().position(|rule| rule.name == name);
-            let rule = rule.map(|number| Allocation::Rule(number as u8));
-            Some((if name == LEARNED { Allocation::Learned } else { rule? }, weight))
+            let rule =
+                RuleAllocator(name).number(spec).map(|number| Allocation::Rule(number as u8));
+            Some((if name == LEARNED { Allocation::Learned } else { rule.ok()? }, weight))
         };
         Self {
             allocators: allocation.weights().into_iter().filter_map(by_number).collect(),
