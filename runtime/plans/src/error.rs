@@ -7,6 +7,9 @@ use std::{fmt, io};
 use serde::{Deserialize, Serialize};
 use sortie_core::plan::PlanError;
 
+/// What differs is the compiler's fault, unless something else in the file explains it.
+const PLEA: &str = ": please report this file";
+
 /// Why a network could not be read, compiled or run.
 #[derive(Debug, thiserror::Error, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -139,7 +142,8 @@ pub enum CompileError {
     /// Plan and file differ, and the file holds a number beyond what layers learn.
     #[error(
         "plan and file differ, and the file computes with {weight:e} (the constant `{constant}`): unless that is a mask's, the \
-         file is damaged ({error})"
+         file is damaged ({})",
+        .error.to_string().trim_end_matches(PLEA)
     )]
     WildWeight {
         /// The constant.
@@ -153,7 +157,8 @@ pub enum CompileError {
     #[error(
         "the plan is wrong on input {input} of the proof of seed {seed}: it gives {number:e} where the file's nodes, in double \
          precision, give {truth:e}; that is {distance:.0} times what 32 bits make any engine err there (limit {limit}, \
-         root mean square of an output's number {mean:.1} of {mean_limit}): please report this file"
+         root mean square of an output's number {mean:.1} of {mean_limit}){}",
+        PLEA
     )]
     Wrong {
         /// The plan's number.
@@ -175,8 +180,9 @@ pub enum CompileError {
     },
     /// The plan answers where the network has no answer, or gives none where it has one.
     #[error(
-        "on input {input} of the proof of seed {seed} the plan {}: please report this file",
-        if *.answers { "answers, and the network's numbers are not finite" } else { "gives no answer, and the network does" }
+        "on input {input} of the proof of seed {seed} the plan {}{}",
+        if *.answers { "answers, and the network's numbers are not finite" } else { "gives no answer, and the network does" },
+        PLEA
     )]
     AnswersOtherwise {
         /// Whether the plan answers.

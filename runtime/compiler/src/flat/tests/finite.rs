@@ -1,19 +1,24 @@
 //! Files with weights that are no numbers.
 
 use prost::Message;
-use sortie_plans::{CompileError, CompileOptions};
+use rand_core::{Rng, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use sortie_plans::{CompileError, CompileOptions, PolicyOptions};
 use tract_onnx::pb::ModelProto;
 use tract_onnx::pb::tensor_proto::DataType::Float;
 
 use super::files::File;
 use super::plans::compiled;
-use crate::compile::compile;
+use crate::compile::{compile, compile_policy};
 
-const GOLDEN: &str =
-    concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/onnx/agent_gru_small.onnx");
+const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/");
 
 const NAN: f32 = f32::NAN;
 const INFINITE: f32 = f32::INFINITY;
+
+fn golden(name: &str) -> Vec<u8> {
+    std::fs::read(format!("{GOLDEN}{name}")).unwrap()
+}
 
 /// A layer of four inputs and two outputs with this among its weights, behind what turns them if they are turned.
 fn layer(weight: f32, is_turned: bool) -> File {
@@ -77,7 +82,7 @@ fn what_never_answers_is_not_proved() {
 
 #[test]
 fn a_difference_is_blamed_on_weights_as_no_layer_has() {
-    let onnx = std::fs::read(GOLDEN).unwrap();
+    let onnx = golden("onnx/agent_gru_small.onnx");
     let with = |weight: f32| {
         let mut file = ModelProto::decode(&onnx[..]).unwrap();
         let tensors = &mut file.graph.as_mut().unwrap().initializer;
@@ -88,6 +93,67 @@ fn a_difference_is_blamed_on_weights_as_no_layer_has() {
     with(0.25).expect("a scale of logits");
     // Logits beyond those by which the mask closes.
     let error = with(1.9e31).unwrap_err();
+    assert!(!error.to_string().contains("report"), "{error}");
     let CompileError::WildWeight { constant, weight, .. } = &error else { panic!("{error}") };
     assert_eq!((constant.as_str(), *weight), ("attention.scale", 1.9e31));
+}
+
+/// A number of few zero bits or many, of any kind: not a number, infinite, huge, tiny.
+fn pattern(random: &mut Xoshiro256PlusPlus) -> f32 {
+    let bits = random.next_u32();
+    let exponent = 0xff << 23;
+    f32::from_bits(match random.next_u32() % 4 {
+        0 => bits | exponent,
+        1 => (bits | exponent) & !((1 << 23) - 1),
+        2 => bits & !exponent,
+        _ => bits,
+    })
+}
+
+/// Puts a pattern in the place of one weight, and says of which tensor and what.
+fn damage(file: &mut ModelProto, random: &mut Xoshiro256PlusPlus) -> (String, f32) {
+    let tensors = &mut file.graph.as_mut().unwrap().initializer;
+    let mut layers: Vec<_> = tensors
+        .iter_mut()
+        .filter(|tensor| tensor.data_type == Float as i32 && tensor.raw_data.len() >= 32)
+        .collect();
+    let chosen = random.next_u32() as usize % layers.len();
+    let layer = &mut *layers[chosen];
+    let (weights, _) = layer.raw_data.as_chunks_mut::<4>();
+    let (place, weight) = (random.next_u32() as usize % weights.len(), pattern(random));
+    weights[place] = weight.to_le_bytes();
+    (layer.name.clone(), weight)
+}
+
+/// In every part of networks of every kind: no plan holds what is no number, nobody panics, and nobody is asked to
+/// report what is the file's fault. `SORTIE_STORM` says of how many files, 200 if it does not.
+#[test]
+fn a_storm_of_weights_of_any_bits_is_refused_where_they_are_no_numbers() {
+    let options = CompileOptions { inputs: 16, ..CompileOptions::default() };
+    let team = |onnx: &[u8]| compile(onnx, &options).map(drop);
+    let one = |onnx: &[u8]| compile_policy(onnx, &PolicyOptions::default(), &options).map(drop);
+    type Compile<'a> = &'a dyn Fn(&[u8]) -> Result<(), CompileError>;
+    let networks: [(&str, Compile<'_>); 6] = [
+        ("onnx/agent_gru_small.onnx", &team),
+        ("onnx/agent_pointing_small.onnx", &team),
+        ("onnx/agent_skip_small.onnx", &team),
+        ("onnx/team_value_small.onnx", &team),
+        ("onnx-producers/rsl_rl_gru.isaac_lab.onnx", &one),
+        ("onnx-producers/torch_depthwise.dynamo.onnx", &one),
+    ];
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(11);
+    let files = std::env::var("SORTIE_STORM").map_or(200, |files| files.parse().unwrap());
+    for number in 0..files {
+        let (name, compile) = networks[number % networks.len()];
+        let mut file = ModelProto::decode(&golden(name)[..]).unwrap();
+        let (tensor, weight) = damage(&mut file, &mut random);
+        let result = compile(&file.encode_to_vec());
+        let refused = matches!(&result, Err(CompileError::NonFiniteWeight { .. }));
+        let asks = matches!(
+            &result,
+            Err(CompileError::Wrong { .. } | CompileError::AnswersOtherwise { .. })
+        );
+        assert!(!asks, "{name}, {tensor}, {weight:e}: {result:?}");
+        assert_eq!(refused, !weight.is_finite(), "{name}, {tensor}, {weight:e}: {result:?}");
+    }
 }
