@@ -57,29 +57,49 @@ pub(super) struct Nearest {
 impl Nearest {
     /// The nearest of these things, at most [`SEEN`].
     pub(super) fn to(own: Point, things: impl Iterator<Item = (usize, Point)>) -> Self {
-        let mut nearest = Self { found: [(0.0, 0); SEEN], count: 0 };
-        things.for_each(|(thing, place)| nearest.add(squared_distance(own, place), thing));
+        let mut things = things.map(|(thing, place)| (squared_distance(own, place), thing));
+        let mut first = [(f64::INFINITY, 0); SEEN];
+        let mut count = 0;
+        for (slot, thing) in first.iter_mut().zip(things.by_ref()) {
+            *slot = thing;
+            count += 1;
+        }
+        let mut nearest = Self { found: sorted(&first), count };
+        things.for_each(|(squared, thing)| nearest.add(squared, thing));
         nearest
     }
 
+    /// Adds one to as many as there may be.
     fn add(&mut self, squared: f64, thing: usize) {
-        if self.count < SEEN {
-            self.count += 1;
-        } else if squared >= self.found[SEEN - 1].0 {
-            return;
-        }
-        let mut at = self.count - 1;
+        let mut at = SEEN;
         while at > 0 && self.found[at - 1].0 > squared {
-            self.found[at] = self.found[at - 1];
+            if at < SEEN {
+                self.found[at] = self.found[at - 1];
+            }
             at -= 1;
         }
-        self.found[at] = (squared, thing);
+        if at < SEEN {
+            self.found[at] = (squared, thing);
+        }
     }
 
     /// Their numbers.
     pub(super) fn things(&self) -> impl ExactSizeIterator<Item = usize> {
         self.found[..self.count].iter().map(|(_, thing)| *thing)
     }
+}
+
+/// Puts each behind those that are nearer, and behind those equally near that stand before it. It counts them: which thing
+/// is nearer is as good as random, so that a processor would guess wrong at every other branch.
+fn sorted(things: &[(f64, usize); SEEN]) -> [(f64, usize); SEEN] {
+    let mut sorted = *things;
+    for (number, (squared, thing)) in things.iter().enumerate() {
+        let (before, behind) = things.split_at(number);
+        let nearer = before.iter().map(|(other, _)| usize::from(other <= squared)).sum::<usize>()
+            + behind.iter().map(|(other, _)| usize::from(other < squared)).sum::<usize>();
+        sorted[nearer] = (*squared, *thing);
+    }
+    sorted
 }
 
 /// Actions of every agent, of those that move and of those that speak.
