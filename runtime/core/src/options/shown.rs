@@ -46,7 +46,12 @@ pub struct Shown {
     by_distance: [u8; CELLS],
     /// The place of each cell among them.
     rank: [u8; CELLS],
+    /// The place of each cell among those that are shown one by one, [`OUTSIDE`] of others.
+    around: [u8; CELLS],
 }
+
+/// What is behind every cell that is shown.
+const OUTSIDE: u8 = CELLS as u8;
 
 impl Shown {
     /// None of a picture that is too large, or has no such middle.
@@ -63,7 +68,14 @@ impl Shown {
             *place = before as u8;
             *by_distance.get_mut(before)? = cell as u8;
         }
-        Some(Self { shape, by_distance, rank })
+        let border = (size - crop) / 2;
+        let inside = border..border + crop;
+        let around = core::array::from_fn(|cell| {
+            let (y, x) = (cell / size.max(1), cell % size.max(1));
+            let is_shown = inside.contains(&y) && inside.contains(&x);
+            if is_shown { ((y - border) * crop + x - border) as u8 } else { OUTSIDE }
+        });
+        Some(Self { shape, by_distance, rank, around })
     }
 
     /// The sizes.
@@ -103,8 +115,6 @@ impl Shown {
     /// Writes the bytes of a row, of which all numbers that are not zero are given with their columns.
     pub fn write(&self, entries: impl Iterator<Item = (usize, f32)>, bytes: &mut [u8]) {
         let PictureShape { channels, size, crop, .. } = self.shape;
-        let border = (size - crop) / 2;
-        let inside = border..border + crop;
         let (around, rest) = bytes.split_at_mut_checked(2 * crop * crop).unwrap_or_default();
         let (nearest, counts) =
             rest.split_at_mut_checked(self.nearest_channels()).unwrap_or_default();
@@ -122,11 +132,10 @@ impl Shown {
             if let (Some(least), Some(rank)) = (nearest.get_mut(channel), self.rank.get(cell)) {
                 *least = (*least).min(*rank);
             }
-            let (y, x) = (cell / size.max(1), cell % size.max(1));
-            if inside.contains(&y) && inside.contains(&x) {
-                let place = 2 * ((y - border) * crop + x - border) + channel / 8;
-                around.get_mut(place).into_iter().for_each(|bits| *bits |= 1 << (channel % 8));
-            }
+            let place = self.around.get(cell).copied().unwrap_or(OUTSIDE);
+            // Behind the last one there is no byte for a cell outside.
+            let byte = around.get_mut(2 * usize::from(place) + channel / 8);
+            byte.into_iter().for_each(|bits| *bits |= 1 << (channel % 8));
         }
     }
 
@@ -169,8 +178,11 @@ pub fn view_of(bytes: &[u8]) -> u32 {
 
 /// The cell and channel of a column; none of a count.
 fn cell_of(column: usize, channels: usize, size: usize) -> Option<(usize, usize)> {
+    // Rows are short: a division of 32 bits is a fraction of one of 64.
+    let (column, channels) = (column as u32, channels as u32);
     let (cell, channel) = (column.checked_div(channels)?, column.checked_rem(channels)?);
-    (cell < size * size).then_some((cell, channel))
+    let cell = cell as usize;
+    (cell < size * size).then_some((cell, channel as usize))
 }
 
 /// Of equals in distance what lies straight ahead comes first, then ahead, then beside, then behind.
