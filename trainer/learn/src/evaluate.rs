@@ -288,6 +288,13 @@ mod tests {
     }
 
     #[test]
+    fn a_metric_is_the_mean_over_the_episodes_that_have_it() {
+        // Of episodes 5 to 9 the one of number 7 has none.
+        assert_eq!(summary(&episodes(5, 5)).metrics["burned"], 28.0 / 4.0);
+        assert!(summary(&episodes(7, 1)).metrics.is_empty());
+    }
+
+    #[test]
     fn one_part_is_itself() {
         let alone = summary(&episodes(5, 30));
         let pooled = Evaluation::pooled(std::slice::from_ref(&alone));

@@ -35,13 +35,20 @@ pub fn in_lanes<L: Send>(threads: usize, lanes: &mut [L], work: impl Fn(usize, &
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Barrier;
+
     use super::*;
 
     #[test]
     fn every_lane_is_worked_on_once_with_the_products_of_the_caller() {
         Products::Plain.use_here();
         let mut lanes = [(0, Products::Avx2); 9];
-        in_lanes(3, &mut lanes, |index, lane| *lane = (lane.0 + index, Products::here()));
+        // No thread takes a second lane before every other has taken one.
+        let together = Barrier::new(3);
+        in_lanes(3, &mut lanes, |index, lane| {
+            together.wait();
+            *lane = (lane.0 + index, Products::here());
+        });
         assert_eq!(lanes, std::array::from_fn(|index| (index, Products::Plain)));
     }
 }

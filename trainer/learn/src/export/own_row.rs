@@ -371,3 +371,25 @@ fn whole(graph: &mut Graph, name: &str, number: &str) -> String {
     let whole = graph.node(&format!("{name}.whole"), "Cast", &[number], &to);
     graph.node(&format!("{name}.index"), "Reshape", &[&whole, "one"], &[])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::skip_tests::{CONTRACT, assert_recorded};
+    use super::*;
+
+    #[test]
+    fn tables_become_the_recorded_file() {
+        let tables = LookupTables {
+            cell: vec![1.0, 0.0, 0.0],
+            level: vec![0.0, 1.0, 0.0],
+            levels: vec![0.25, 0.5],
+            held: vec![0.0, 0.0, 1.0],
+            places: vec![0, 1, 2, 1, 3, 1],
+            holdings: vec![0, 1],
+            answers: (0..2 * 2 * 4 * 3).map(|number| number as f32).collect(),
+            agents: 2,
+            actions: 3,
+        };
+        assert_recorded("tables_small", &tables.to_onnx(CONTRACT).unwrap());
+    }
+}

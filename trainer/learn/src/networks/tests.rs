@@ -259,12 +259,13 @@ fn a_better_utility_never_makes_a_team_worse() {
 }
 
 /// Weights of a linear mixer add up to what they are set to, over real and over imagined utilities; those of a sum do to the
-/// number of utilities.
+/// number of utilities. What a state is worth beside them is the same whatever they add up to.
 #[test]
 fn weights_add_up_to_one_or_to_the_number_of_agents() {
     let linear = mixer_shape(MixerKind::Linear);
     let agents = MixerShape { weights_sum: WeightsSum::Agents, ..linear };
     let sizes = [3.0, 2.0, 3.0];
+    let mut states = Vec::new();
     for (shape, real, imagined) in [
         (linear, [1.0; 3], [1.0; 3]),
         (agents, sizes, sizes),
@@ -283,7 +284,10 @@ fn weights_add_up_to_one_or_to_the_number_of_agents() {
             let found: Vec<f32> = one.iter().zip(none).map(|(one, none)| one - none).collect();
             assert_near(&found, &want);
         }
+        states.push(none);
     }
+    assert_eq!(states[0], states[1]);
+    assert!(states[0].iter().flatten().all(|value| *value != 0.0), "{states:?}");
 }
 
 /// The same state, once with an agent that does not act any more, once with its body as a thing.

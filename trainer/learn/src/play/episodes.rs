@@ -246,6 +246,38 @@ mod tests {
         }
     }
 
+    /// Goes wherever its instance's generator says.
+    struct Wanders;
+
+    impl Act for Wanders {
+        fn act(
+            &mut self,
+            scenes: &Scenes<'_>,
+            random: &mut [Random],
+            actions: &mut [u16],
+        ) -> Result<(), LearnError> {
+            let actions = actions.chunks_exact_mut(actions.len() / scenes.scenes.len());
+            for (random, actions) in scenes.generators(random).zip(actions) {
+                actions.fill_with(|| sortie_envs::random::below(random, 3) as u16);
+            }
+            Ok(())
+        }
+    }
+
+    /// One after the other in one instance, side by side, or the last of them alone.
+    #[test]
+    fn an_episode_is_the_same_whatever_is_played_beside_and_before_it() {
+        let ring = sortie_envs::open("group-matching/4x3x2", Split::Test, 1, &Default::default());
+        let ring = ring.unwrap();
+        let play = |instances: usize, episodes: Range<usize>| {
+            let mut worlds = ring.open(instances, Split::Test);
+            watch(&mut *worlds, &mut Wanders, episodes, 1, &mut ()).unwrap()
+        };
+        let apart = play(1, 0..6);
+        assert_eq!(play(4, 0..6), apart);
+        assert_eq!(play(2, 3..6), apart[3..]);
+    }
+
     #[test]
     fn an_episode_begins_once() {
         let ring = sortie_envs::open("group-matching/4x3x2", Split::Test, 1, &Default::default());

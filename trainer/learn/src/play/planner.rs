@@ -89,14 +89,11 @@ impl<'a> Planner<'a> {
         let candidates: Vec<Vec<u8>> = (0..self.report.candidates)
             .map(|_| self.changed(scene.instance, &allocation))
             .collect();
-        let mut best = own;
-        for (rest, candidate) in self.simulate(scene, &candidates)?.into_iter().zip(&candidates) {
-            if rest > best {
-                best = rest;
-                self.team.reallocate(scene.instance, candidate);
-            }
+        let rests = self.simulate(scene, &candidates)?;
+        if let Some(best) = best_of(&rests, own) {
+            self.team.reallocate(scene.instance, &candidates[best]);
+            self.report.changed += 1;
         }
-        self.report.changed += u64::from(best > own);
         Ok(())
     }
 
@@ -133,6 +130,17 @@ impl<'a> Planner<'a> {
         }
         changed
     }
+}
+
+/// The best of several rests, the first of equals, if it is better than one's own.
+fn best_of(rests: &[Rest], own: Rest) -> Option<usize> {
+    let mut best = (own, None);
+    for (place, rest) in rests.iter().enumerate() {
+        if *rest > best.0 {
+            best = (*rest, Some(place));
+        }
+    }
+    best.1
 }
 
 impl Act for Planner<'_> {
@@ -193,6 +201,21 @@ mod tests {
         assert!(planned.return_mean > base.return_mean);
         assert!(0 < report.changed && report.changed <= report.searched);
         assert!(report.searched < report.decisions && report.uses_simulator);
+    }
+
+    #[test]
+    fn the_best_candidate_is_taken_where_it_is_better_than_what_was_decided() {
+        let rest = |(solved, rewards)| Rest { solved, rewards };
+        let best = |rests: &[(bool, f64)], own| {
+            best_of(&rests.iter().copied().map(rest).collect::<Vec<_>>(), rest(own))
+        };
+        // Solved counts most; the best is not the last that is better, and of equals it is the first.
+        let rests =
+            [(false, 3.0), (true, 1.0), (true, 2.0), (true, 2.0), (false, 9.0), (true, 1.5)];
+        assert_eq!(best(&rests, (false, 2.0)), Some(2));
+        assert_eq!(best(&rests[..1], (false, 2.0)), Some(0));
+        assert_eq!(best(&rests, (true, 2.0)), None);
+        assert_eq!(best(&[], (false, 2.0)), None);
     }
 
     #[test]

@@ -134,3 +134,49 @@ impl Act for RandomTeam {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::play::watch;
+    use sortie_core::Decision;
+    use sortie_envs::Split;
+
+    /// Always goes right; notes what the agents of each team are told that they did.
+    #[derive(Debug, Default)]
+    struct Noting(Vec<Vec<u16>>);
+
+    impl Policy for Noting {
+        fn actions(&self) -> usize {
+            3
+        }
+
+        fn utilities(&mut self, seen: &Seen<'_>, utilities: &mut [f32]) -> Result<(), DecideError> {
+            if seen.self_index == 0 {
+                self.0.push(seen.last_actions.to_vec());
+            }
+            utilities.copy_from_slice(&[0.0, 1.0, 2.0]);
+            Ok(())
+        }
+
+        fn decide(&mut self, seen: &Seen<'_>) -> Result<Decision, DecideError> {
+            let mut utilities = [0.0; 3];
+            self.utilities(seen, &mut utilities)?;
+            Ok(Decision { action: 2, utility: 2.0 })
+        }
+    }
+
+    #[test]
+    fn agents_are_told_what_they_did_in_their_own_episode() {
+        let ring = sortie_envs::open("group-matching/4x3x2", Split::Test, 1, &Default::default());
+        let mut team = PolicyTeam::new(Noting::default());
+        let played = watch(&mut *ring.unwrap(), &mut team, 0..3, 1, &mut ()).unwrap();
+        let mut told = team.into_policy().0.into_iter();
+        for episode in played {
+            assert!(episode.steps > 1);
+            assert_eq!(told.next(), Some(vec![NO_ACTION; 4]));
+            assert!(told.by_ref().take(episode.steps as usize - 1).all(|last| last == [2; 4]));
+        }
+        assert_eq!(told.next(), None);
+    }
+}

@@ -6,6 +6,8 @@
 //! The same [`Setup`] and seed give the same weights, whatever the number of threads.
 
 mod entry;
+#[cfg(test)]
+mod tests;
 
 use std::fmt;
 use std::path::Path;

@@ -98,3 +98,58 @@ pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAll
         open_tasks: seen.open_tasks,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, generator};
+    use sortie_core::{AllocateError, AllocationState};
+    use sortie_envs::Split;
+
+    /// Notes what was in force for each agent and with what the new allocation began; sends everybody to subtask 1.
+    #[derive(Default)]
+    struct Noting {
+        in_force: Vec<u32>,
+        begun: Vec<u8>,
+    }
+
+    impl Allocator for Noting {
+        fn allocate(
+            &mut self,
+            state: &AllocationState<'_>,
+            allocation: &mut [u8],
+        ) -> Result<(), AllocateError> {
+            self.in_force = state.entity_task[..state.agents].to_vec();
+            self.begun = allocation.to_vec();
+            allocation.fill(1);
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_deployed_allocator_is_told_what_was_in_force() {
+        let city = sortie_envs::open("save-the-city", Split::Test, 1, &Default::default());
+        let (mut city, mut random) = (city.unwrap(), generator(1, Purpose::Rollout, 0));
+        let mut state = Vec::new();
+        city.reset(0, &mut random);
+        city.save(0, &mut state);
+        let agents = allocation_state(&*city, &state).agents;
+        assert!(agents > 2 && agents <= city.spec().shape.agents);
+        let mut allocation = vec![UNASSIGNED; city.spec().shape.agents];
+        allocation[0] = 3;
+        allocation[2] = 0;
+        let mut noting = Noting::default();
+        DeployedAllocator(Box::new(&mut noting))
+            .allocate(&*city, &state, &mut random, &mut allocation)
+            .unwrap();
+        let mut want = vec![0; agents];
+        (want[0], want[2]) = (0b1000, 0b1);
+        assert_eq!((noting.in_force, noting.begun), (want, vec![UNASSIGNED; agents]));
+        let whole = allocation.iter().enumerate();
+        assert!(
+            whole
+                .into_iter()
+                .all(|(agent, task)| *task == if agent < agents { 1 } else { UNASSIGNED })
+        );
+    }
+}

@@ -212,3 +212,16 @@ fn sum(x: &[f32], target: &[f32], factor: f32, loss: impl Fn(f32) -> f32) -> f32
     let terms = x.iter().zip(target).map(|(x, target)| f64::from(loss(x - target)));
     (f64::from(factor) * terms.sum::<f64>()) as f32
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The loss itself, which a constant too much would change and no slope would show.
+    #[test]
+    fn hubers_loss_is_half_a_square_up_to_its_bound_and_a_line_from_there() {
+        let loss = |distance: f32| huber(&[1.0 + distance], &[1.0], 4.0, 0.5);
+        let losses = [0.25, 0.5, 0.75, 2.0, -0.25, -0.5, -2.0].map(loss);
+        assert_eq!(losses, [0.125, 0.5, 1.0, 3.5, 0.125, 0.5, 3.5]);
+    }
+}

@@ -69,3 +69,36 @@ pub fn backward(shape: UnfoldShape, d_y: &[f32], d_x: &mut [f32]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two rows of three patches, a stride apart both ways; the last row of the picture belongs to none.
+    const SHAPE: UnfoldShape =
+        UnfoldShape { height: 6, width: 7, channels: 2, kernel: 3, stride: 2 };
+
+    #[test]
+    fn patches_are_a_stride_apart_down_and_across() {
+        assert_eq!(SHAPE.patches(), (2, 3));
+        let pictures: Vec<f32> = (0..2 * SHAPE.picture()).map(|number| number as f32).collect();
+        let mut patches = vec![f32::NAN; 2 * 6 * SHAPE.patch()];
+        forward(SHAPE, &pictures, &mut patches);
+        let mut found = patches.iter();
+        let mut times_seen = vec![0.0; pictures.len()];
+        for picture in 0..2 {
+            for (corner_row, corner_column) in [(0, 0), (0, 2), (0, 4), (2, 0), (2, 2), (2, 4)] {
+                for (row, column, channel) in (0..18).map(|at| (at / 6, at / 2 % 3, at % 2)) {
+                    let point = (corner_row + row) * 7 + corner_column + column;
+                    let number = (picture * 6 * 7 + point) * 2 + channel;
+                    assert_eq!(found.next(), Some(&pictures[number]));
+                    times_seen[number] += 1.0;
+                }
+            }
+        }
+        // Slopes go back to where the numbers came from.
+        let mut slopes = vec![0.0; pictures.len()];
+        backward(SHAPE, &vec![1.0; patches.len()], &mut slopes);
+        assert_eq!(slopes, times_seen);
+    }
+}

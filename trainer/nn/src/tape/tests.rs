@@ -381,6 +381,39 @@ fn what_is_detached_gets_no_slopes() {
     assert!(descend(&[], (4, &x), &|t: &mut Pass<'_>, x| t.detach(x)).1.is_empty());
 }
 
+/// Though its memory is full of the slopes of the pass before.
+#[test]
+fn a_tape_that_was_used_finds_the_slopes_of_a_new_one() {
+    let mut tape = Tape::default();
+    for rows in [0..4, 1..3] {
+        let mut pass = tape.begin(&[]);
+        let x = pass.leaf(2, &random(5, 8));
+        let part = pass.rows(x, rows.clone());
+        let loss = pass.weighted_sum(part, &vec![3.0; 2 * rows.len()]);
+        pass.backward(loss, &mut []);
+        let want: Vec<f32> =
+            (0..8).map(|at| if rows.contains(&(at / 2)) { 3.0 } else { 0.0 }).collect();
+        assert_eq!(pass.slopes(x), Some(&want[..]), "{rows:?}");
+    }
+}
+
+/// So that what layers make of numbers of any width is about as large as these.
+#[test]
+fn layers_are_drawn_by_the_root_of_what_they_take() {
+    let (mut p, drawn) = (Parameters::default(), &mut stream(3, 1, 0));
+    p.linear("linear", 4, 100, drawn);
+    p.projection("projection", 16, 100, drawn);
+    p.sparse_linear("sparse", [100, 20], 4.0, drawn);
+    p.gru("memory", 16, drawn);
+    for tensor in p.tensors() {
+        let most =
+            p.values[tensor.range.clone()].iter().fold(0.0, |most: f32, x| most.max(x.abs()));
+        let narrow = ["projection", "memory"].iter().any(|name| tensor.name.starts_with(name));
+        let bound = if narrow { 0.25 } else { 0.5 };
+        assert!((0.75 * bound..bound).contains(&most), "{}: {most}", tensor.name);
+    }
+}
+
 #[test]
 fn tensors_have_names_shapes_and_places() {
     let mut p = Parameters::default();

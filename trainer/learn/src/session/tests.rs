@@ -1,0 +1,110 @@
+//! When a run measures, and on which episodes, told by a method that learns nothing.
+
+use super::*;
+use crate::act::{Act, Scenes};
+use crate::method::Transition;
+use crate::play::{RandomTeam, evaluate};
+use sortie_envs::{Random, Split};
+
+/// Stays while it plays, and is measured by what it draws.
+struct Idle;
+
+impl Method for Idle {
+    fn act(
+        &mut self,
+        _: &Scenes<'_>,
+        _: Now,
+        _: &mut [Random],
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        actions.fill(1);
+        Ok(())
+    }
+
+    fn remember(&mut self, _: &Transition<'_>) -> Result<(), LearnError> {
+        Ok(())
+    }
+
+    fn rates(&self, _: Now) -> Rates {
+        Rates { epsilon: 0.0, learning_rate: 0.0 }
+    }
+
+    fn team(&self) -> Box<dyn Act + '_> {
+        Box::new(RandomTeam::new(1))
+    }
+
+    fn state(&mut self, _: &mut State<'_>) -> Result<(), LearnError> {
+        Ok(())
+    }
+}
+
+/// What a run tells.
+#[derive(Default)]
+struct Told {
+    curve: Vec<CurvePoint>,
+    result: Option<RunResult>,
+}
+
+impl Observer for Told {
+    fn evaluated(&mut self, point: &CurvePoint) {
+        self.curve.push(point.clone());
+    }
+
+    fn finished(&mut self, result: &RunResult) {
+        self.result = Some(result.clone());
+    }
+}
+
+fn ring() -> Box<dyn Environment> {
+    sortie_envs::open("group-matching/4x3x2", Split::Train, 1, &Default::default()).unwrap()
+}
+
+const SEED: u64 = 7;
+
+/// A run of seven steps a round.
+fn told(run: RunConfig) -> Told {
+    let (folder, ring) = (tempfile::tempdir().unwrap(), ring());
+    let environment = EnvironmentChoice::of(&*ring, 7);
+    let setup = Setup { method: "idle".to_owned(), environment, run, ..Setup::default() };
+    let description = RunDescription::new(setup, SEED, 1);
+    let run = Session::begin(description, ring, Box::new(Idle), &folder.path().join("run"));
+    let mut told = Told::default();
+    let outcome = run.unwrap().run(&mut told, &AtomicBool::new(false)).unwrap();
+    assert_eq!(outcome, Outcome::Finished);
+    told
+}
+
+/// An evaluation that is late, since a round had to end first, does not put off those behind it.
+#[test]
+fn evaluations_keep_to_their_steps() {
+    let run = RunConfig {
+        steps: 126,
+        evaluate_every: 30,
+        evaluate_episodes: 1,
+        final_episodes: 0,
+        ..RunConfig::default()
+    };
+    let Told { curve, result } = told(run);
+    let steps: Vec<u64> = curve.iter().map(|point| point.env_steps).collect();
+    assert_eq!((&steps[..], result), (&[35, 63, 91, 126][..], None));
+}
+
+/// The curve's episodes are the seed's own; those of the result are the same for all runs and play no part before.
+#[test]
+fn the_result_is_measured_on_episodes_that_no_evaluation_uses() {
+    let (evaluate_episodes, final_episodes) = (20, 30);
+    let run = RunConfig {
+        steps: 14,
+        evaluate_every: 14,
+        evaluate_episodes,
+        final_episodes,
+        ..RunConfig::default()
+    };
+    let Told { curve, result } = told(run);
+    let result = result.expect("a result");
+    let of = |episodes, seed| evaluate(&*ring(), &mut RandomTeam::new(1), episodes, seed).unwrap();
+    let own = of(evaluate_episodes, u64::MAX - SEED);
+    assert_eq!((curve.len(), curve[0].return_mean), (1, own.return_mean));
+    assert_eq!((result.seed, result.evaluation), (2_000_000, of(final_episodes, 2_000_000)));
+    assert_ne!(own.return_mean, of(evaluate_episodes, 2_000_000).return_mean);
+}
