@@ -74,6 +74,24 @@ fn an_agent_is_absent_after_three_silent_ticks_until_its_place_is_taken() {
     assert_eq!(stage.asked(), [1, 4, 7]);
 }
 
+/// Both say that they work on subtask 0, and agent 1 falls silent.
+#[test]
+fn what_an_absent_agent_worked_on_is_nobodys() {
+    let mut stage = Stage::acting(|_| ());
+    stage.tick(&[stage.answer(0), stage.answer(1)]);
+    let shown: Vec<_> = (0..4)
+        .map(|_| {
+            stage.tick(&[stage.answer(0)]);
+            let header = stage.table.frames.last().unwrap();
+            let payload = stage.table.payload.as_slice().as_bytes();
+            let frame = FrameView::new(header, payload, &format()).unwrap();
+            (frame.absent(), frame.entity_task()[..2].to_vec())
+        })
+        .collect();
+    let (there, gone) = ((0, vec![1, 1]), (0b10, vec![1, 0]));
+    assert_eq!(shown, [there.clone(), there, gone.clone(), gone]);
+}
+
 #[test]
 fn whoever_comes_back_before_three_silent_ticks_was_never_absent() {
     let mut stage = Stage::acting(|options| options.decision_interval = u32::MAX);
