@@ -37,7 +37,7 @@ pub(crate) struct AgentLayers {
     /// Own embedding to what is added to the output, before its ReLU.
     pub(crate) skip: Option<Matrix>,
     /// What follows the attention, in order. Where the head points, its last layer gives the utilities of actions that aim
-    /// at nobody, then the vector that points.
+    /// at nobody, then the vector that points: what is for embeddings, then what is for the features of pairs.
     pub(crate) steps: Vec<Step>,
     /// Which actions aim at which entities, where the head points.
     pub(crate) targets: Option<Targets>,
@@ -214,7 +214,7 @@ fn match_scores(
 }
 
 /// The embedding whose own row `outlet` is.
-fn own_row(graph: &Graph, outlet: OutletId, own_index: OutletId) -> Option<OutletId> {
+pub(super) fn own_row(graph: &Graph, outlet: OutletId, own_index: OutletId) -> Option<OutletId> {
     let node = graph.node(outlet);
     node.op_as::<Gather>().filter(|gather| gather.axis == 0)?;
     match node.inputs.as_slice() {
