@@ -124,7 +124,7 @@ const SHAPE: NetworkShape = NetworkShape {
         actions: ACTIONS,
         skip: false,
         memory: 8,
-        targets: Targets { first: 0, count: 0 },
+        targets: Targets::default(),
     },
     mixer: MixerShape {
         kind: MixerKind::Qmix,
