@@ -21,7 +21,7 @@ const PAIRS: usize = FIELDS + 2;
 const FEATURES: usize = PAIRS + 2 * SITES;
 
 /// Instances of the yard.
-pub struct Yard {
+pub(crate) struct Yard {
     spec: Spec,
     tracks: Vec<Track>,
 }
@@ -38,7 +38,7 @@ struct Track {
 
 impl Yard {
     /// So many instances, whose episodes are over.
-    pub fn new(instances: usize) -> Self {
+    pub(crate) fn new(instances: usize) -> Self {
         let fields = (0..FIELDS).map(|field| format!("field-{field}"));
         let pairs = (0..SITES).flat_map(|site| ["near", "here"].map(|it| format!("{it}-{site}")));
         let own = ["is-site", "is-left"].map(str::to_owned);

@@ -9,8 +9,7 @@ use tract_onnx::tract_core::ops::array::{Gather, Slice, TypedConcat};
 use tract_onnx::tract_core::ops::logic::Iff;
 use tract_onnx::tract_hir::internal::DimLike;
 
-use super::agent::own_row;
-use super::gru::{Found, match_layer, match_product_of_two, terms};
+use super::gru::{Found, match_layer, match_product_of_two, own_row, terms};
 use crate::graph::Graph;
 
 const HINT: &str = "a head that points is Concat(untargeted, Where(visible[targets], scores, 0)), with scores \
