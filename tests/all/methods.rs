@@ -181,8 +181,10 @@ fn a_configuration_explains_itself_and_is_read_back() {
 fn the_page_shows_the_programs_that_are_there() {
     let read = |name: &str| std::fs::read_to_string(name).expect("a file of the project");
     let page = read("docs/guide/your-own.md");
-    for example in ["own_environment", "own_method"] {
-        assert!(page.contains(&read(&format!("examples/{example}/src/main.rs"))), "{example}");
+    for program in
+        ["own_environment/src/yard.rs", "own_environment/src/main.rs", "own_method/src/main.rs"]
+    {
+        assert!(page.contains(&read(&format!("examples/{program}"))), "{program}");
     }
 }
 

@@ -1,74 +1,65 @@
-//! A method of one's own: independent Q-learning from a table (Watkins 1989), in any environment whose states are few.
+//! A method of one's own: independent Q-learning (Tan 1993) of the parts that all methods share.
 
-use std::collections::BTreeMap;
 use std::error::Error;
-use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use sortie_envs::random::{chance, member};
-use sortie_envs::{EntitySet, Environment, Observation, Random, Split, members};
-use sortie_learn::run::{Rates, RunConfig, RunDescription, prolong};
+use sortie_envs::random::generator;
+use sortie_envs::{EntitySet, Environment, Observation, Random, Split};
+use sortie_learn::learner::{Learner, Loss, Rules};
+use sortie_learn::networks::{
+    Acting, AgentShape, EntityAgent, EntityBatch, Greedy, LookShape, Targets, best,
+};
+use sortie_learn::run::{Rates, Reports, RunConfig, RunDescription};
 use sortie_learn::session::{EnvironmentChoice, Session, Setup};
-use sortie_learn::state::Tensor;
+use sortie_learn::trajectory::{Capacity, Future, Place, Trajectories, Widths};
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition, play};
+use sortie_nn::tape::Parameters;
 
-const PLACES: usize = 1 << 16;
-const ACTIONS: usize = 3;
-const DISCOUNT: f32 = 0.9;
-const RATES: Rates = Rates { epsilon: 0.2, learning_rate: 0.2 };
+const INSTANCES: usize = 16;
+const RATES: Rates = Rates { epsilon: 0.2, learning_rate: 1e-3 };
 
-/// What each agent expects of each action, by what it is shown: `[PLACES, ACTIONS]`.
-#[derive(Clone)]
-struct QLearning(Vec<f32>);
-
-/// Where a state stands in the table: the agent, and every number of every row, hashed (FNV-1a).
-fn place(seen: &Observation, agent: usize) -> usize {
-    let numbers = (0..seen.rows.len()).flat_map(|row| seen.rows.row(row));
-    let numbers = numbers.flat_map(|(column, value)| [column as u64, value.to_bits().into()]);
-    let mix = |hash: u64, number: u64| (hash ^ number).wrapping_mul(0x0000_0100_0000_01b3);
-    (numbers.fold(mix(0xcbf2_9ce4_8422_2325, agent as u64), mix) >> 20) as usize % PLACES
+/// Every agent learns what its actions are worth as if it were alone; all of them are one network.
+struct Independent {
+    agents: EntityAgent,
+    learner: Learner<Vec<f32>>,
+    replay: Trajectories,
+    acting: Acting,
+    random: Random,
 }
 
-impl QLearning {
-    /// The best available action of an agent, and what it is worth.
-    fn best(&self, seen: &Observation, agent: usize) -> (usize, f32) {
-        let values = &self.0[place(seen, agent) * ACTIONS..][..ACTIONS];
-        let open = members(seen.available[agent].into()).map(|action| (action, values[action]));
-        open.reduce(|a, b| if b.1 > a.1 { b } else { a }).unwrap_or_default()
+impl Independent {
+    fn new(environment: &dyn Environment) -> Self {
+        let (shape, mut random) = (environment.spec().shape, generator(1));
+        let looking = LookShape { input: shape.features, active_inputs: 3, width: 32 };
+        let targets = Targets::of(environment.spec());
+        let agent = AgentShape { looking, actions: shape.actions, skip: true, memory: 0, targets };
+        let mut parameters = Parameters::default();
+        let agents = EntityAgent::new(&mut parameters, agent, &mut random);
+        let widths = Widths { agents: shape.agents, ..Widths::default() };
+        let replay = Trajectories::new(Capacity::States(2_000), INSTANCES, widths);
+        let learner = Learner::new(parameters, Rules::default(), 1);
+        Self { agents, learner, replay, acting: Acting::default(), random }
     }
 
-    /// Writes the best action of every agent, or what `instead` gives for it.
-    fn choose(
+    /// What there is to see in some states.
+    fn look<'a>(
         &self,
-        scenes: &Scenes<'_>,
-        actions: &mut [u16],
-        mut instead: impl FnMut(usize, u64) -> Option<usize>,
-    ) {
-        let agents = scenes.environment.spec().shape.agents;
-        let mut seen = Observation::default();
-        for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(agents)) {
-            scenes.environment.observe(scene.state, 0, EntitySet::MAX, &mut seen);
-            for (agent, action) in actions.iter_mut().enumerate().take(seen.agents()) {
-                let other = instead(scene.instance, seen.available[agent]);
-                *action = other.unwrap_or_else(|| self.best(&seen, agent).0) as u16;
-            }
+        environment: &dyn Environment,
+        states: impl Iterator<Item = &'a [u8]>,
+    ) -> EntityBatch {
+        let (mut batch, mut seen) = (EntityBatch::default(), Observation::default());
+        for state in states {
+            environment.observe(state, 0, EntitySet::MAX, &mut seen);
+            batch.push(&seen);
         }
+        batch.aim_at(self.agents.shape.targets.entities());
+        batch.relate(self.agents.shape.targets.pairs());
+        batch.finish(false);
+        batch
     }
 }
 
-impl Act for QLearning {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
-        self.choose(scenes, actions, |_, _| None);
-        Ok(())
-    }
-}
-
-impl Method for QLearning {
+impl Method for Independent {
     fn act(
         &mut self,
         scenes: &Scenes<'_>,
@@ -76,24 +67,48 @@ impl Method for QLearning {
         random: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
-        self.choose(scenes, actions, |instance, open| {
-            let random = &mut random[instance];
-            chance(random, RATES.epsilon.into()).then(|| member(random, open.into())).flatten()
-        });
+        let teams = scenes.generators(random).map(|random| (RATES.epsilon, random));
+        self.acting.look(scenes);
+        self.acting.explore((&self.agents, &self.learner.online.values), teams, actions);
         Ok(())
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
-        let (mut before, mut after) = (Observation::default(), Observation::default());
-        transition.environment.observe(transition.state, 0, EntitySet::MAX, &mut before);
-        transition.environment.observe(transition.next, 0, EntitySet::MAX, &mut after);
-        let continues = f32::from(u8::from(!transition.step.terminated));
-        for agent in 0..before.agents() {
-            let target =
-                transition.step.reward as f32 + continues * DISCOUNT * self.best(&after, agent).1;
-            let own = place(&before, agent) * ACTIONS + usize::from(transition.actions[agent]);
-            self.0[own] += RATES.learning_rate * (target - self.0[own]);
+        self.replay.push(transition);
+        Ok(())
+    }
+
+    fn update(
+        &mut self,
+        environment: &dyn Environment,
+        now: Now,
+        reports: &mut Reports,
+    ) -> Result<(), LearnError> {
+        if now.env_steps < 1_000 {
+            return Ok(());
         }
+        let drawn: Vec<Place> = (0..64).map(|_| self.replay.draw(1, &mut self.random)).collect();
+        let future = |place: &Place| self.replay.future(*place, 1, 0.9);
+        let futures: Vec<Future> = drawn.iter().map(future).collect();
+        let before = drawn.iter().map(|place| self.replay.state(*place));
+        let after = futures.iter().map(|future| self.replay.state(future.place));
+        let [before, after] = [self.look(environment, before), self.look(environment, after)];
+        let done = drawn.iter().flat_map(|place| self.replay.actions(*place));
+        let done: Vec<u32> = done.map(|action| (*action).into()).collect();
+        let agents = &self.agents;
+        reports.agents.push(self.learner.update(1, RATES.learning_rate, |shard| {
+            let mut next = shard.spare.begin(shard.target);
+            let utilities = agents.utilities(&mut next, &after, after.seen(), &mut []);
+            let rows = next.values(utilities).chunks_exact(agents.shape.actions);
+            let worth = rows.zip(after.available()).map(|(row, open)| row[best(row, *open)]);
+            let of = futures.iter().flat_map(|future| std::iter::repeat_n(future, done.len() / 64));
+            let target = |(future, worth): (&Future, f32)| future.reward + future.discount * worth;
+            *shard.space = of.zip(worth).map(target).collect();
+            let utilities = agents.utilities(&mut shard.pass, &before, before.seen(), &mut []);
+            let chosen = shard.pass.pick(utilities, &done);
+            let share = 1.0 / done.len() as f32;
+            Loss::of(&mut shard.pass, |pass| pass.squared_error(chosen, shard.space, share))
+        }));
         Ok(())
     }
 
@@ -102,47 +117,27 @@ impl Method for QLearning {
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
-        Box::new(self.clone())
+        Box::new(Greedy::new(&self.agents, &self.learner.average))
     }
 
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
-        let (shape, range) = (vec![PLACES, ACTIONS], 0..PLACES * ACTIONS);
-        state.tensors("table", &[Tensor { name: "values".into(), shape, range }], &mut self.0)
+        self.learner.state(state)?;
+        self.replay.visit(state)?;
+        state.value("random", &mut self.random)
     }
 }
 
-type Parts = (Box<dyn Environment>, Box<dyn Method>);
-
-fn parts() -> Result<Parts, LearnError> {
-    let ring = sortie_envs::open("group-matching/3x6x1", Split::Train, 1, &BTreeMap::new())?;
-    Ok((ring, Box::new(QLearning(vec![0.0; PLACES * ACTIONS]))))
-}
-
-fn begin(folder: &Path, steps: u64) -> Result<Session, LearnError> {
-    let (environment, method) = parts()?;
-    let usual = RunConfig::default();
-    let run = RunConfig { steps, evaluate_every: 20_000, final_episodes: 0, ..usual };
-    let choice = EnvironmentChoice::of(&*environment, 8);
-    let setup = Setup { method: "table".into(), environment: choice, run, ..Setup::default() };
-    Session::begin(RunDescription::new(setup, 1, 1), environment, method, folder)
-}
-
 fn main() -> Result<(), Box<dyn Error>> {
+    let ring = || sortie_envs::open("group-matching/3x6x1", Split::Train, 1, &Default::default());
+    let environment = EnvironmentChoice::of(&*ring()?, INSTANCES);
+    let run = RunConfig { steps: 30_000, final_episodes: 0, ..RunConfig::default() };
+    let setup = Setup { method: "independent".into(), environment, run, ..Setup::default() };
+    let method = Box::new(Independent::new(&*ring()?));
     let folder = std::env::temp_dir().join(format!("own-method-{}", std::process::id()));
-    let mut whole = begin(&folder.join("whole"), 100_000)?;
-    whole.run(&mut (), &AtomicBool::new(false))?;
-    let (ring, _) = parts()?;
-    let chance = play::evaluate(&*ring, &mut play::RandomTeam::new(1), 500, 1)?.return_mean;
-    let learned = play::evaluate(&*ring, &mut *whole.method().team(), 500, 1)?.return_mean;
+    let mut session = Session::begin(RunDescription::new(setup, 1, 1), ring()?, method, &folder)?;
+    session.run(&mut (), &AtomicBool::new(false))?;
+    let chance = play::evaluate(&*ring()?, &mut play::RandomTeam::new(1), 500, 1)?.return_mean;
+    let learned = play::evaluate(&*ring()?, &mut *session.method().team(), 500, 1)?.return_mean;
     println!("return: {chance:.2} at random, {learned:.2} learned");
-
-    let parted = folder.join("parted");
-    begin(&parted, 40_000)?.run(&mut (), &AtomicBool::new(false))?;
-    prolong(&parted, 100_000)?;
-    Session::resume(&parted, |_| parts())?.run(&mut (), &AtomicBool::new(false))?;
-    let end = "checkpoints/000000100000/tensors.safetensors";
-    let weights = |run: &str| std::fs::read(folder.join(run).join(end));
-    let is_same = weights("whole")? == weights("parted")?;
-    println!("resumed at 40,000 steps: {}", if is_same { "the same bytes" } else { "others" });
     Ok(())
 }

@@ -135,12 +135,12 @@ fn detail(op: OpRef<'_>) -> String {
         format!("[N, {width}] -> [{outputs}], {}{skip}{relu}", heads(count))
     };
     let point = |targets: &Targets| {
-        format!(
-            "[N, {}] -> [{}] of [{}]",
-            targets.width,
-            targets.count,
-            targets.untargeted + targets.count
-        )
+        let actions = targets.untargeted + targets.count;
+        let pairs = match targets.pair_features {
+            0 => String::new(),
+            features => format!(" and [{}, {features}]", targets.count),
+        };
+        format!("[N, {}]{pairs} -> [{}] of [{actions}]", targets.width, targets.count)
     };
     match op {
         OpRef::EmbedEntities(op) => rows(op.layer.inputs, op.layer.outputs, op.relu),

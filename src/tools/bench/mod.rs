@@ -4,6 +4,7 @@ mod allocation;
 mod contestants;
 mod decision;
 pub(crate) mod faults;
+mod heads;
 mod losses;
 mod policies;
 mod proposals;
@@ -41,6 +42,7 @@ const FLOOR: &str = "floor";
   sortie bench allocation --seconds 5
   sortie bench policy walking.onnx --python venv/bin/python3
   sortie bench proposals --python venv/bin/python3
+  sortie bench heads --seconds 30
   sortie bench env --seconds 10
   sortie bench faults --runner-kills 1000 --allocator-kills 200
   sortie bench losses models/save-the-city --lose 4 --at 10
@@ -56,6 +58,7 @@ enum What {
     Allocation(allocation::AllocationArguments),
     Policy(policies::PolicyBenchArguments),
     Proposals(proposals::ProposalsArguments),
+    Heads(heads::HeadsArguments),
     Env(EnvironmentArguments),
     Train(train::TrainArguments),
     Faults(faults::FaultsArguments),
@@ -113,8 +116,11 @@ struct Figures {
 }
 
 pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
-    if let What::Decision(_) | What::Allocation(_) | What::Policy(_) | What::Proposals(_) =
-        &arguments.what
+    if let What::Decision(_)
+    | What::Allocation(_)
+    | What::Policy(_)
+    | What::Proposals(_)
+    | What::Heads(_) = &arguments.what
     {
         // Before plans are compiled, which the other program would do once more.
         engines()?;
@@ -126,6 +132,7 @@ pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
         }
         What::Policy(arguments) => (policies::measure(arguments)?, arguments.measuring.common),
         What::Proposals(arguments) => (proposals::measure(arguments)?, arguments.measuring.common),
+        What::Heads(arguments) => (heads::measure(arguments)?, arguments.measuring.common),
         What::Env(arguments) => (measure_environment(arguments)?, arguments.measuring.common),
         What::Faults(arguments) => return faults::run(arguments),
         What::Losses(arguments) => return losses::run(arguments),

@@ -8,6 +8,7 @@ use alloc::vec::Vec;
 use crate::environment::{Environment, Split, Step};
 use crate::observation::{EntitySet, Observation, members};
 use crate::random::{Random, generator, member};
+use crate::rows::SparseRows;
 use crate::spec::Spec;
 
 /// Plays episodes of random actions and checks the laws of [`Environment`] in every state.
@@ -197,8 +198,31 @@ impl Laws {
             require(blind.is_none(), || {
                 format!("agent {agent} may aim at entity {blind:?}, which it does not observe")
             })?;
+            let told = told_of_unseen(&self.spec, seen, agent);
+            require(told.is_none(), || {
+                format!("agent {agent} is told of entity {told:?}, which it does not observe")
+            })?;
         }
+        self.check_relations(state)?;
         self.check_parts(state)
+    }
+
+    /// Every entity stands somehow to every subtask.
+    fn check_relations(&self, state: &[u8]) -> Result<(), String> {
+        let (mut rows, entities) = (SparseRows::default(), self.seen.rows.len());
+        for task in 0..self.spec.shape.tasks {
+            rows.clear();
+            self.played.relate(state, 0, task, EntitySet::MAX, &mut rows);
+            let columns = (0..rows.len()).flat_map(|row| rows.row(row));
+            let most = columns.map(|(column, _)| column + 1).max().unwrap_or(0);
+            require(rows.len() == entities && most <= self.spec.relations, || {
+                format!(
+                    "{} rows of {most} columns relate {entities} entities to subtask {task}",
+                    rows.len()
+                )
+            })?;
+        }
+        Ok(())
     }
 
     /// Rows alone, and under every symmetry, are those of the whole.
@@ -243,6 +267,19 @@ fn unseen_target(spec: &Spec, seen: &Observation, agent: usize) -> Option<usize>
     targets.find(|target| observed >> target & 1 == 0)
 }
 
+/// A target that an agent does not observe, of which its own row says how they stand to each other.
+fn told_of_unseen(spec: &Spec, seen: &Observation, agent: usize) -> Option<usize> {
+    if seen.present >> agent & 1 == 0 {
+        return None;
+    }
+    let observed = seen.observable[agent] & seen.present;
+    let mut unseen = spec.targets.clone().enumerate().filter(|(_, it)| observed >> it & 1 == 0);
+    let row = || seen.rows.row(seen.row_of(agent)).filter(|(_, value)| *value != 0.0);
+    let is_told =
+        |target: &usize| row().any(|(column, _)| spec.pair_columns(*target).contains(&column));
+    unseen.find(|(target, _)| is_told(target)).map(|(_, entity)| entity)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -267,6 +304,42 @@ mod tests {
         let crowded = Spec { actions: spec().actions[..3].to_vec(), ..crowded };
         let what = "aimed actions";
         assert_eq!(crowded.check(), Err(SpecError::Size { what, found: 3, least: 0, most: 2 }));
+    }
+
+    /// Two features of each of three pairs behind one of the agent's own.
+    fn paired() -> Spec {
+        let features = (0..7).map(|index| index.to_string()).collect();
+        Spec { shape: Shape { features: 7, ..spec().shape }, features, pairs: 1..7, ..spec() }
+    }
+
+    #[test]
+    fn pairs_have_as_many_features_each() {
+        assert_eq!(paired().check(), Ok(()));
+        assert_eq!((spec().pair_features(), paired().pair_features()), (0, 2));
+        assert_eq!([0, 2].map(|target| paired().pair_columns(target)), [1..3, 5..7]);
+        let refused = |pairs| Spec { pairs, ..paired() }.check().unwrap_err();
+        let what = "features up to the last pair's";
+        assert_eq!(refused(2..8), SpecError::Size { what, found: 8, least: 0, most: 7 });
+        let what = "features of pairs, as many for each target";
+        assert_eq!(refused(1..6), SpecError::Names { what, found: 5, wanted: 3 });
+        let alone = Spec { targets: 0..0, ..paired() };
+        assert_eq!(alone.check(), Err(SpecError::Names { what, found: 6, wanted: 0 }));
+    }
+
+    #[test]
+    fn nobody_is_told_of_what_it_does_not_observe() {
+        let mut seen = Observation::new(&paired().shape);
+        (seen.present, seen.entities) = (0b1111, 0b1111);
+        seen.observable = vec![0b0111, 0b1111];
+        let mut told = |columns: &[usize]| {
+            seen.rows.clear();
+            columns.iter().for_each(|column| seen.rows.push(*column, 1.0));
+            (0..4).for_each(|_| seen.rows.end_row());
+            told_of_unseen(&paired(), &seen, 0)
+        };
+        assert_eq!([told(&[0, 1, 2, 3, 4]), told(&[5]), told(&[0, 6])], [None, Some(3), Some(3)]);
+        (seen.present, seen.entities) = (0b1110, 0b1110);
+        assert_eq!(told_of_unseen(&paired(), &seen, 0), None);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use alloc::vec::Vec;
 use core::any::Any;
 use core::fmt;
 
-use crate::observation::{AgentSet, EntitySet, Observation};
+use crate::observation::{AgentSet, EntitySet, Observation, members};
 use crate::random::Random;
 use crate::rows::SparseRows;
 use crate::spec::Spec;
@@ -271,7 +271,7 @@ pub trait Environment: Any + Send + Sync {
     }
 
     /// Writes for each of the `wanted` entities that exist how it stands to a subtask, a row of
-    /// [`Spec::relations`] columns each.
+    /// [`Spec::relations`] columns each; empty rows where there are none.
     fn relate(
         &self,
         state: &[u8],
@@ -280,7 +280,10 @@ pub trait Environment: Any + Send + Sync {
         wanted: EntitySet,
         rows: &mut SparseRows,
     ) {
-        let _ = (state, turn, task, wanted, rows);
+        let _ = task;
+        let mut seen = Observation::default();
+        self.observe(state, turn, 0, &mut seen);
+        members(wanted & seen.present).for_each(|_| rows.end_row());
     }
 
     /// The [milestone](Spec::milestones) that the last step of an instance reached, by its number.

@@ -123,6 +123,10 @@ pub struct Spec {
     /// The entities at which the last actions aim, one each and in this order; empty where none aims. An agent may take such
     /// an action only where it observes the entity.
     pub targets: Range<usize>,
+    /// The columns of an agent's own row that say how it stands to what it may aim at (how far away, within reach, after it):
+    /// as many for each target, in the order of `targets`; empty where nothing is said. Those of what it does not observe
+    /// are zeros.
+    pub pairs: Range<usize>,
     /// The action of an agent that nobody decides for: always available, and as harmless as any.
     pub safe_action: Option<u16>,
     /// Whether episodes can be solved; where none can, returns alone say how good a team is.
@@ -167,6 +171,7 @@ impl Default for Spec {
             actions: Vec::new(),
             roles: Vec::new(),
             targets: 0..0,
+            pairs: 0..0,
             safe_action: None,
             has_success: true,
             metrics: &[],
@@ -234,17 +239,33 @@ impl Spec {
         self.check_roles()
     }
 
-    /// Aimed actions are some of the actions, and their targets are entities.
+    /// Aimed actions are some of the actions, their targets are entities, and pairs have features of the own row.
     fn check_targets(&self) -> Result<(), SpecError> {
-        let Shape { entities, actions, .. } = self.shape;
+        let Shape { entities, actions, features, .. } = self.shape;
         let sizes = [
             ("entities up to the last target", self.targets.end, entities),
             ("aimed actions", self.targets.len(), actions - 1),
+            ("features up to the last pair's", self.pairs.end, features),
         ];
         let wrong = sizes.into_iter().find(|(_, found, most)| found > most);
-        wrong.map_or(Ok(()), |(what, found, most)| {
-            Err(SpecError::Size { what, found, least: 0, most })
-        })
+        if let Some((what, found, most)) = wrong {
+            return Err(SpecError::Size { what, found, least: 0, most });
+        }
+        let wanted = self.pair_features() * self.targets.len();
+        let (what, found) = ("features of pairs, as many for each target", self.pairs.len());
+        if found == wanted { Ok(()) } else { Err(SpecError::Names { what, found, wanted }) }
+    }
+
+    /// Features of an agent and one of its targets.
+    pub fn pair_features(&self) -> usize {
+        self.pairs.len() / self.targets.len().max(1)
+    }
+
+    /// Where those of the target at this place among the targets stand in the agent's own row.
+    pub fn pair_columns(&self, target: usize) -> Range<usize> {
+        let features = self.pair_features();
+        let start = self.pairs.start + target * features;
+        start..start + features
     }
 
     /// The entity that an action aims at.

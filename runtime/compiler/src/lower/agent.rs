@@ -145,7 +145,7 @@ fn lower_gru(
     }
 }
 
-/// Where the head points, what it says of actions that aim at nobody and the vector that points are padded each.
+/// Where the head points, what it says of actions that aim at nobody and both parts of the vector that points are padded each.
 pub(crate) fn with_parts_padded(layers: &AgentLayers) -> AgentLayers {
     let mut layers = layers.clone();
     if let (Some(targets), Some(Step::Dense(head))) = (layers.targets, layers.steps.last_mut()) {
@@ -155,7 +155,12 @@ pub(crate) fn with_parts_padded(layers: &AgentLayers) -> AgentLayers {
             bias: head.bias.iter().skip(start).take(count).copied().collect(),
             relu: false,
         };
-        *head = side_by_side(&[part(0, untargeted), part(untargeted, targets.width.into())]);
+        let width = usize::from(targets.width);
+        let mut parts = vec![part(0, untargeted), part(untargeted, width)];
+        if targets.pair_features > 0 {
+            parts.push(part(untargeted + width, targets.pair_features.into()));
+        }
+        *head = side_by_side(&parts);
     }
     layers
 }
@@ -301,7 +306,10 @@ fn check_chain(layers: &AgentLayers, sizes: AgentSizes) -> Result<(), CompileErr
             let [untargeted, aimed] = [targets.untargeted, targets.count].map(usize::from);
             pairs.push(("the number of utilities", untargeted + aimed, sizes.actions));
             pairs.push(("the pointing head's width", targets.width.into(), width));
-            pairs.push(("the head's width", before, untargeted + width));
+            let features = usize::from(targets.pair_features);
+            let end = usize::from(targets.first_pair) + aimed * features;
+            pairs.push(("the head's width", before, untargeted + width + features));
+            pairs.push(("features up to the last pair's", end.max(sizes.features), sizes.features));
         }
     }
     pairs.into_iter().try_for_each(|(what, got, want)| same_sizes(what, got, want))

@@ -3,7 +3,6 @@
 use sortie_core::internal::ops::Targets;
 use sortie_plans::{CompileError, Layer, Matrix};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_core::ops::array::Gather;
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::cast::Cast;
 use tract_onnx::tract_core::ops::logic::Iff;
@@ -12,7 +11,7 @@ use tract_onnx::tract_hir::internal::DimLike;
 
 use super::gru::{
     Found, GruLayers, bias_values, match_gru, match_layer, match_product, match_product_of_two,
-    match_scale, match_sum, terms,
+    match_scale, match_sum, own_row, terms,
 };
 use super::pointing::match_pointing;
 use crate::graph::{Graph, TeamRoles};
@@ -37,7 +36,7 @@ pub(crate) struct AgentLayers {
     /// Own embedding to what is added to the output, before its ReLU.
     pub(crate) skip: Option<Matrix>,
     /// What follows the attention, in order. Where the head points, its last layer gives the utilities of actions that aim
-    /// at nobody, then the vector that points.
+    /// at nobody, then the vector that points: what is for embeddings, then what is for the features of pairs.
     pub(crate) steps: Vec<Step>,
     /// Which actions aim at which entities, where the head points.
     pub(crate) targets: Option<Targets>,
@@ -211,16 +210,6 @@ fn match_scores(
     query.matrix.values.iter_mut().chain(&mut query.bias).for_each(|value| *value *= scale);
     // A bias of the keys adds the same to every score of a head and drops out of the softmax.
     Ok((query, key.layer.matrix, embedding))
-}
-
-/// The embedding whose own row `outlet` is.
-fn own_row(graph: &Graph, outlet: OutletId, own_index: OutletId) -> Option<OutletId> {
-    let node = graph.node(outlet);
-    node.op_as::<Gather>().filter(|gather| gather.axis == 0)?;
-    match node.inputs.as_slice() {
-        &[rows, index] if graph.source(index) == own_index => Some(graph.source(rows)),
-        _ => None,
-    }
 }
 
 fn match_projection(

@@ -2,7 +2,7 @@
 
 use sortie_plans::{CompileError, Layer, Matrix};
 use tract_onnx::prelude::*;
-use tract_onnx::tract_core::ops::array::Slice;
+use tract_onnx::tract_core::ops::array::{Gather, Slice};
 use tract_onnx::tract_core::ops::binary::TypedBinOp;
 use tract_onnx::tract_core::ops::einsum::EinSum;
 use tract_onnx::tract_core::ops::element_wise::ElementWiseOp;
@@ -311,6 +311,16 @@ pub(crate) fn match_product_of_two(graph: &Graph, outlet: OutletId) -> Option<[O
     node.op_as::<EinSum>()?;
     match node.inputs.as_slice() {
         &[a, b] if graph.constant(a).is_none() && graph.constant(b).is_none() => Some([a, b]),
+        _ => None,
+    }
+}
+
+/// The rows of which `outlet` is the own one.
+pub(super) fn own_row(graph: &Graph, outlet: OutletId, own_index: OutletId) -> Option<OutletId> {
+    let node = graph.node(outlet);
+    node.op_as::<Gather>().filter(|gather| gather.axis == 0)?;
+    match node.inputs.as_slice() {
+        &[rows, index] if graph.source(index) == own_index => Some(graph.source(rows)),
         _ => None,
     }
 }

@@ -9,9 +9,12 @@ use sortie_plans::{CompileOptions, inspect_plan, random_observations};
 
 use crate::support::beside_truth;
 
-/// Its file, features, actions, and the first entity that is aimed at.
-const AGENTS: [(&str, usize, usize, usize); 2] =
-    [("agent_pointing_small", 6, 6, 2), ("agent_pointing_gru", 7, 4, 0)];
+/// Its file, features, actions, and the first entity that is aimed at. The last is told of pairs.
+const AGENTS: [(&str, usize, usize, usize); 3] = [
+    ("agent_pointing_small", 6, 6, 2),
+    ("agent_pointing_gru", 7, 4, 0),
+    ("agent_pointing_pairs", 11, 6, 2),
+];
 
 fn golden(name: &str) -> Vec<u8> {
     let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/onnx/");
@@ -31,7 +34,7 @@ fn f32_profiles() -> &'static [Profile] {
 
 #[test]
 fn agents_agree_with_their_graphs_whatever_they_see() {
-    for (name, features, actions, _) in AGENTS {
+    for (name, features, actions, ..) in AGENTS {
         for (n_max, &profile) in [1, 2, 5, 11].into_iter().zip(f32_profiles().iter().cycle()) {
             let plan = compiled(name, n_max, profile);
             let mut observations = random_observations(70, n_max, features, actions, 5);
@@ -46,17 +49,18 @@ fn agents_agree_with_their_graphs_whatever_they_see() {
 
 #[test]
 fn an_int8_agent_is_near_its_graph() {
-    let (name, features, actions, _) = AGENTS[0];
-    let plan = compiled(name, 9, Profile::Int8);
-    let observations = random_observations(100, 9, features, actions, 5);
-    let got = beside_truth(plan.as_slice(), &golden(name), observations);
-    assert!(got.max_rel_error < 0.02, "{name}: {got:?}");
+    for (name, features, actions, ..) in [AGENTS[0], AGENTS[2]] {
+        let plan = compiled(name, 9, Profile::Int8);
+        let observations = random_observations(100, 9, features, actions, 5);
+        let got = beside_truth(plan.as_slice(), &golden(name), observations);
+        assert!(got.max_rel_error < 0.02, "{name}: {got:?}");
+    }
 }
 
 /// Who is aimed at is what counts, not its number: targets that trade places trade utilities.
 #[test]
 fn targets_that_trade_places_trade_utilities() {
-    for (name, features, actions, first) in AGENTS {
+    for (name, features, actions, first) in [AGENTS[0], AGENTS[1]] {
         let mut graph = GraphPolicy::by_tract(&golden(name), features).unwrap();
         let mut hidden = vec![0.0; graph.hidden()];
         let scene = |order: [usize; 2]| OwnedObservation {
@@ -94,9 +98,11 @@ fn targets_that_trade_places_trade_utilities() {
 
 #[test]
 fn a_plan_that_points_names_its_targets() {
-    for (name, detail) in
-        [(AGENTS[0].0, "[N, 16] -> [4] of [6]"), (AGENTS[1].0, "[N, 20] -> [3] of [4]")]
-    {
+    for (name, detail) in [
+        (AGENTS[0].0, "[N, 16] -> [4] of [6]"),
+        (AGENTS[1].0, "[N, 20] -> [3] of [4]"),
+        (AGENTS[2].0, "[N, 16] and [4, 2] -> [4] of [6]"),
+    ] {
         let facts = inspect_plan(compiled(name, 9, Profile::Exact).as_slice()).unwrap();
         let found = facts.operators.iter().find(|op| op.name == "PointAtEntities").unwrap();
         assert_eq!(found.detail, detail);

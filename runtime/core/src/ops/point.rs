@@ -1,7 +1,8 @@
 //! A pointing head: utilities of actions that are aimed at entities.
 //!
 //! Each of these actions aims at one entity, and its utility is `q · x_e`: the agent's vector q with that entity's
-//! embedding x_e. Who an entity is stays meaningful whatever its number, and one vector serves any number of targets.
+//! embedding x_e. Who an entity is stays meaningful whatever its number, and one vector serves any number of targets. Where
+//! the own row says how the agent stands to each of them, q goes on and is multiplied with that, too.
 
 use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 
@@ -30,6 +31,10 @@ pub struct Targets {
     pub count: u16,
     /// Width E of an embedding.
     pub width: u16,
+    /// The column of the agent's own row where the features of pairs begin, target by target.
+    pub first_pair: u16,
+    /// Features F of a pair.
+    pub pair_features: u16,
 }
 
 /// The pointing head of an agent.
@@ -40,7 +45,7 @@ pub struct PointAtEntities {
     pub rows: Place,
     /// Which actions aim at which entities.
     pub targets: Targets,
-    /// The utilities of actions that aim at nobody, padded, then q, padded.
+    /// The utilities of actions that aim at nobody, what of q is for embeddings, and what is for pairs, padded each.
     pub from: Place,
     /// The dot products of q with all visible rows, `[n_max]`.
     pub scores: Place,
@@ -56,7 +61,7 @@ pub struct Int8PointAtEntities {
     pub rows: Place,
     /// Which actions aim at which entities.
     pub targets: Targets,
-    /// The utilities of actions that aim at nobody, padded, then q, padded.
+    /// The utilities of actions that aim at nobody, what of q is for embeddings, and what is for pairs, padded each.
     pub from: Place,
     /// The dot products of q with all visible rows, `[n_max]`.
     pub scores: Place,
@@ -75,43 +80,79 @@ impl Targets {
             && self.width > 0
             && actions == sizes.actions
             && end <= limits::ENTITIES
+            && self.pairs_end() <= sizes.features
     }
 
-    /// Floats of the utilities of actions that aim at nobody, and of q behind them.
-    fn parts(&self) -> [usize; 2] {
-        [self.untargeted, self.width].map(|floats| padded(floats.into()))
+    /// One more than the last column that says how an agent stands to a target.
+    fn pairs_end(&self) -> u32 {
+        u32::from(self.first_pair) + u32::from(self.count) * u32::from(self.pair_features)
+    }
+
+    /// Floats of the utilities of actions that aim at nobody, and of the parts of q behind them.
+    fn parts(&self) -> [usize; 3] {
+        let pairs = match self.pair_features {
+            0 => 0,
+            features => padded(features.into()),
+        };
+        [padded(self.untargeted.into()), padded(self.width.into()), pairs]
     }
 
     /// Whether the places that hold floats are as long as they need to be.
     fn fit(&self, sizes: &Sizes, [from, scores, to]: [&Place; 3]) -> bool {
-        let [untargeted, query] = self.parts();
-        from.len as usize == untargeted + query
+        from.len as usize == self.parts().iter().sum::<usize>()
             && scores.len == sizes.n_max
             && to.len == sizes.actions
     }
 
     fn multiply_adds(&self, visible: u64) -> u64 {
-        visible * padded(self.width.into()) as u64
+        let pairs = u64::from(self.count) * u64::from(self.pair_features);
+        visible * padded(self.width.into()) as u64 + pairs
     }
 
-    /// q, of what stands at `from`.
+    /// What of q is for embeddings, of what stands at `from`.
     fn query<'a>(&self, from: &'a [f32]) -> Result<&'a [f32], DecideError> {
-        from.get(self.parts()[0]..).ok_or(DecideError::BadLength)
+        let [untargeted, width, _] = self.parts();
+        from.get(untargeted..untargeted + width).ok_or(DecideError::BadLength)
+    }
+
+    /// What of q is for pairs, and what the own row says of them.
+    fn pairs<'a>(
+        &self,
+        observation: &'a Observation<'_>,
+        from: &'a [f32],
+    ) -> Result<(&'a [f32], &'a [f32]), DecideError> {
+        let [untargeted, width, _] = self.parts();
+        let weights =
+            from.get(untargeted + width..).and_then(|it| it.get(..self.pair_features.into()));
+        let start = observation.self_index.saturating_mul(observation.stride);
+        let row = observation.rows.get(start..);
+        let row = row.and_then(|row| row.get(self.first_pair.into()..self.pairs_end() as usize));
+        weights.zip(row).ok_or(DecideError::BadLength)
     }
 
     /// Writes all utilities, given the scores of what is visible, in rising order of the entities.
-    fn answer(&self, observation: &Observation<'_>, from: &[f32], scores: &[f32], to: &mut [f32]) {
+    fn answer(
+        &self,
+        observation: &Observation<'_>,
+        from: &[f32],
+        scores: &[f32],
+        to: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let (weights, pairs) = self.pairs(observation, from)?;
         let (untargeted, targeted) = to.split_at_mut(usize::from(self.untargeted).min(to.len()));
         for (to, from) in untargeted.iter_mut().zip(from) {
             *to = *from;
         }
         targeted.fill(0.0);
         for (entity, score) in observation.visible.iter().zip(scores) {
-            let target = entity.checked_sub(self.first_entity.into());
-            if let Some(utility) = target.and_then(|target| targeted.get_mut(target)) {
-                *utility = *score;
+            let Some(target) = entity.checked_sub(self.first_entity.into()) else { continue };
+            if let Some(utility) = targeted.get_mut(target) {
+                let features = pairs.iter().skip(target * weights.len());
+                let known = weights.iter().zip(features);
+                *utility = known.fold(*score, |sum, (weight, feature)| sum + weight * feature);
             }
         }
+        Ok(())
     }
 }
 
@@ -150,8 +191,7 @@ impl Operator for PointAtEntities {
         let rows = Rows::first(rows, padded(self.targets.width.into()), visible);
         let scores = scores.get_mut(..slots(visible)).ok_or(DecideError::BadLength)?;
         kernels.dots(self.targets.query(from)?, rows, scores);
-        self.targets.answer(observation, from, scores, to);
-        Ok(())
+        self.targets.answer(observation, from, scores, to)
     }
 
     fn works_for_teams(&self, shared: u32) -> bool {
@@ -176,7 +216,7 @@ impl Operator for PointAtEntities {
                 scores.get_mut(..slots(member.slots.len())).ok_or(DecideError::BadLength)?;
             kernels.dots(self.targets.query(from)?, rows, scores);
             let observation = observations.get(member.index).ok_or(DecideError::BadLength)?;
-            self.targets.answer(observation, from, scores, to);
+            self.targets.answer(observation, from, scores, to)?;
         }
         Ok(())
     }
@@ -255,7 +295,6 @@ impl Int8PointAtEntities {
         let Scale { step, .. } =
             kernels.quantise(query, reach, vector).ok_or(DecideError::NonFinite)?;
         kernels.int8_dots(vector, step, rows, scores);
-        self.targets.answer(observation, from, scores, to);
-        Ok(())
+        self.targets.answer(observation, from, scores, to)
     }
 }

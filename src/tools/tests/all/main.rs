@@ -2,3 +2,4 @@
 
 mod hostile_onnx;
 mod storm;
+mod yard;

@@ -2,8 +2,7 @@
 //! recurrent unit between base and head.
 
 use super::attention::{
-    AttentionNetwork, ExportError, Inputs, Layer, PointingHead, add_base, add_network,
-    add_utilities, layer,
+    AttentionNetwork, ExportError, Inputs, Layer, add_base, add_network, add_utilities, layer,
 };
 use super::onnx::{Dim, Element, Graph, metadata};
 
@@ -55,8 +54,13 @@ fn agent_metadata(network: &AgentNetwork<'_>) -> Vec<(&'static str, String)> {
         ("sortie.append_last_action", network.append_last_action.into()),
     ];
     let mut metadata = metadata("agent", network.contract, sizes);
-    if let Some(PointingHead { first_entity, count, .. }) = network.layers.pointing {
-        metadata.push(("sortie.targets", format!("{first_entity}..{}", first_entity + count)));
+    if let Some(head) = network.layers.pointing {
+        let range = |first: usize, count: usize| format!("{first}..{}", first + count);
+        metadata.push(("sortie.targets", range(head.first_entity, head.count)));
+        if let Some(pairs) = head.pairs {
+            let columns = range(pairs.first, head.count * pairs.features);
+            metadata.push(("sortie.pairs", columns));
+        }
     }
     metadata
 }
@@ -105,8 +109,7 @@ pub fn recurrent_agent_onnx(network: &RecurrentAgent<'_>) -> Result<Vec<u8>, Exp
     graph.output("h_out", Element::Float, &state, "State after this step.");
     let (embedding, base) = add_base(&mut graph, &agent.layers, INPUTS, *attention_relu)?;
     let state = add_gru(&mut graph, gru, size, &base)?;
-    let given = [&*embedding, &*state, INPUTS.visible];
-    add_utilities(&mut graph, &agent.layers, given, "utilities")?;
+    add_utilities(&mut graph, &agent.layers, INPUTS, [&embedding, &state], "utilities")?;
     let mut metadata = agent_metadata(agent);
     metadata.push(("sortie.hidden", size.to_string()));
     Ok(graph.into_model("agent", DOC, &metadata))

@@ -65,7 +65,7 @@ pub struct AttentionNetwork<'a> {
 }
 
 /// A head that points: the utility of an action that is aimed at an entity is the product of the agent's vector with that
-/// entity's embedding.
+/// entity's embedding, and with what is known of the pair.
 #[derive(Clone, Copy, Debug)]
 pub struct PointingHead<'a> {
     /// The entity that the first of these actions aims at; each of them aims at the next one.
@@ -74,6 +74,19 @@ pub struct PointingHead<'a> {
     pub count: usize,
     /// R to E: the agent's vector.
     pub query: Layer<'a>,
+    /// What is known of pairs, if anything.
+    pub pairs: Option<PairHead<'a>>,
+}
+
+/// What the features of a pair count for.
+#[derive(Clone, Copy, Debug)]
+pub struct PairHead<'a> {
+    /// The input column of the agent's own row where they begin, target by target.
+    pub first: usize,
+    /// Features F of a pair.
+    pub features: usize,
+    /// R to F: what the agent makes of each.
+    pub weights: Layer<'a>,
 }
 
 /// Why a network cannot be exported.
@@ -133,7 +146,7 @@ pub fn add_network(
     output: &str,
 ) -> Result<(), ExportError> {
     let (embedding, base) = add_base(graph, network, inputs, true)?;
-    add_utilities(graph, network, [&embedding, &base, inputs.visible], output)
+    add_utilities(graph, network, inputs, [&embedding, &base], output)
 }
 
 /// Adds the nodes in front of the head and returns the names of the embedding `[N, E]` and of the last one, `[1, R]`.
@@ -194,18 +207,20 @@ pub fn add_head(
     Ok(())
 }
 
-/// Adds the heads, on the base `[1, R]`, the embedding `[N, E]` and what is visible `[N]`; they give `output` `[U]`.
+/// Adds the heads, on the embedding `[N, E]` and the base `[1, R]`; they give `output` `[U]`.
 ///
 /// An action whose target is not visible has the utility 0.
 pub fn add_utilities(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
-    [embedding, base, visible]: [&str; 3],
+    inputs: Inputs<'_>,
+    [embedding, base]: [&str; 2],
     output: &str,
 ) -> Result<(), ExportError> {
-    let Some(PointingHead { first_entity, count, query }) = &network.pointing else {
+    let Some(head) = &network.pointing else {
         return add_head(graph, network, base, output);
     };
+    let PointingHead { first_entity, count, query, pairs } = head;
     let targets: Vec<i64> = (*first_entity..first_entity + count).map(|row| row as i64).collect();
     let targets = graph.integers("pointing.targets", &targets).to_owned();
     let nothing = graph.floats("pointing.nothing", &[], &[0.0]).to_owned();
@@ -215,13 +230,41 @@ pub fn add_utilities(
     let rows = graph.node("pointing.rows", "Gather", &[embedding, &targets], &[axis(0)]);
     let turned = Attribute::Ints("perm", &[1, 0]);
     let rows = graph.node("pointing.columns", "Transpose", &[&rows], &[turned]);
-    let scores = graph.node("pointing.scores", "MatMul", &[&query, &rows], &[]);
-    let seen = graph.node("pointing.seen", "Gather", &[visible, &targets], &[axis(0)]);
+    let mut scores = graph.node("pointing.scores", "MatMul", &[&query, &rows], &[]);
+    if let (Some(own), Some(pairs)) = (inputs.own, pairs) {
+        let weights =
+            layer(graph, "pairs.weights", base, &pairs.weights, [network.base, pairs.features])?;
+        let pairs = add_pairs(graph, [inputs.rows, own], pairs, *count);
+        let known = graph.node("pairs.scores", "MatMul", &[&weights, &pairs], &[]);
+        scores = graph.node("pointing.related", "Add", &[&scores, &known], &[]);
+    }
+    let seen = graph.node("pointing.seen", "Gather", &[inputs.visible, &targets], &[axis(0)]);
     let aimed = graph.node("pointing", "Where", &[&seen, &scores, &nothing], &[]);
     let all = graph.node("heads", "Concat", &[&untargeted, &aimed], &[axis(1)]);
     let shape = graph.integers(&format!("{output}.shape"), &[network.outputs as i64]).to_owned();
     graph.node(output, "Reshape", &[&all, &shape], &[]);
     Ok(())
+}
+
+/// Adds the features of pairs `[F, targets]`, which stand in the own one of the rows.
+fn add_pairs(
+    graph: &mut Graph,
+    [rows, own]: [&str; 2],
+    pairs: &PairHead<'_>,
+    targets: usize,
+) -> String {
+    let PairHead { first, features, .. } = *pairs;
+    let own = graph.node("pairs.own", "Gather", &[rows, own], &[axis(0)]);
+    let mut integers = |name: &str, values: &[usize]| {
+        let values: Vec<i64> = values.iter().map(|value| *value as i64).collect();
+        graph.integers(name, &values).to_owned()
+    };
+    let start = integers("pairs.start", &[first]);
+    let end = integers("pairs.end", &[first + targets * features]);
+    let (axes, size) = (integers("pairs.axis", &[1]), integers("pairs.size", &[targets, features]));
+    let own = graph.node("pairs.columns", "Slice", &[&own, &start, &end, &axes], &[]);
+    let pairs = graph.node("pairs", "Reshape", &[&own, &size], &[]);
+    graph.node("pairs.turned", "Transpose", &[&pairs], &[Attribute::Ints("perm", &[1, 0])])
 }
 
 /// Attention of the own row's query, or of every row's, over all entities.

@@ -18,7 +18,7 @@ use sortie_bundle::OptionsContract;
 use sortie_core::Policy;
 
 pub use agent::{AgentNetwork, GruCell, RecurrentAgent, agent_onnx, recurrent_agent_onnx};
-pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix, PointingHead};
+pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix, PairHead, PointingHead};
 pub use entities::{EntityNetwork, Members, TeamValueExport, entity_network_onnx, team_value_onnx};
 pub use own_row::{
     AGENT_NUMBER, DenseLayer, GOAL, LookupTables, OptionGraphs, OwnRowNetwork, OwnRowNetworks,

@@ -7,8 +7,12 @@
 //!
 //! Where actions aim at entities the head may *point*: the utility of such an action is `(W_p h + b_p) · x_e`, the product of
 //! the agent's vector with the embedding of the entity that it aims at, so that it stays meaningful whatever the target's
-//! number; 0 where the agent does not see it.
+//! number; 0 where the agent does not see it. Where an environment says how an agent stands to each of its targets, these
+//! features stand behind the embedding in that product, and the agent's vector is as much longer.
 
+use std::ops::Range;
+
+use sortie_envs::Spec;
 use sortie_nn::layers::gru::lengths;
 use sortie_nn::layers::split_attention::HEADS;
 use sortie_nn::random::Generator;
@@ -16,7 +20,7 @@ use sortie_nn::tape::{Gru, Linear, Parameters, Pass, Var};
 
 use super::attention::{Attended, EntityAttention, LookShape};
 use super::batch::{Aims, EntityBatch, View};
-use crate::export::{AttentionNetwork, GruCell, Layer, Layout, Matrix, PointingHead};
+use crate::export::{AttentionNetwork, GruCell, Layer, Layout, Matrix, PairHead, PointingHead};
 
 /// Sizes of the agents' network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,12 +44,27 @@ pub struct Targets {
     pub first: usize,
     /// How many; 0: no action aims at one.
     pub count: usize,
+    /// The column of the agent's own row where the features of pairs with them begin.
+    pub first_pair: usize,
+    /// Features of a pair.
+    pub pair_features: usize,
 }
 
 impl Targets {
+    /// What actions aim at in an environment.
+    pub fn of(spec: &Spec) -> Self {
+        let (count, pair_features) = (spec.targets.len(), spec.pair_features());
+        Self { first: spec.targets.start, count, first_pair: spec.pairs.start, pair_features }
+    }
+
     /// The entities.
-    pub fn entities(self) -> std::ops::Range<usize> {
+    pub fn entities(self) -> Range<usize> {
         self.first..self.first + self.count
+    }
+
+    /// The columns of the agent's own row that say how it stands to them.
+    pub fn pairs(self) -> Range<usize> {
+        self.first_pair..self.first_pair + self.count * self.pair_features
     }
 }
 
@@ -88,7 +107,8 @@ impl EntityAgent {
         let last = if memory > 0 { memory } else { width };
         let head = parameters.linear("agent.head", last, actions - targets.count, random);
         let points = targets.count > 0;
-        let pointing = points.then(|| parameters.linear("agent.pointing", last, width, random));
+        let reach = width + targets.pair_features;
+        let pointing = points.then(|| parameters.linear("agent.pointing", last, reach, random));
         Self { shape, looking, out, skip, memory: unit, head, pointing }
     }
 
@@ -165,11 +185,7 @@ impl EntityAgent {
             skip: self.skip.map(outputs_first),
             fc2: self.memory.map(|(before, _)| whole(before)),
             head: whole(self.head),
-            pointing: self.pointing.map(|pointing| PointingHead {
-                first_entity: self.shape.targets.first,
-                count: self.shape.targets.count,
-                query: whole(pointing),
-            }),
+            pointing: self.pointing.map(|pointing| self.deployed_pointing(pointing, values)),
         };
         let memory = self.memory.map(|(_, Gru { width, start })| {
             let mut rest = &values[start..];
@@ -183,13 +199,41 @@ impl EntityAgent {
         });
         (network, memory)
     }
+
+    /// The head that points; what the vector makes of pairs stands behind what it makes of embeddings.
+    fn deployed_pointing<'a>(&self, pointing: Linear, values: &'a [f32]) -> PointingHead<'a> {
+        let Targets { first, count, first_pair, pair_features } = self.shape.targets;
+        let Linear { shape, .. } = pointing;
+        let width = shape.output - pair_features;
+        let weights = values[pointing.weight_range()].split_at(width * shape.input);
+        let biases = bias(pointing, values).split_at(width);
+        let layer =
+            |values, bias| Layer { weight: Matrix { values, layout: Layout::OutputsFirst }, bias };
+        let pairs = PairHead {
+            first: first_pair,
+            features: pair_features,
+            weights: layer(weights.1, biases.1),
+        };
+        PointingHead {
+            first_entity: first,
+            count,
+            query: layer(weights.0, biases.0),
+            pairs: (pair_features > 0).then_some(pairs),
+        }
+    }
 }
 
-/// The utilities `[queries, targets]` of aimed actions: products of vectors `[queries, width]` with embeddings `[rows, width]`.
+/// The utilities `[queries, targets]` of aimed actions: products of vectors with embeddings `[rows, width]` and, behind them,
+/// what is known of each pair.
 fn point(pass: &mut Pass<'_>, aims: Aims<'_>, [vectors, embeddings]: [Var; 2]) -> Var {
     let queries = pass.size(vectors)[0];
     let vectors = pass.gather(vectors, aims.queries);
-    let targets = pass.gather(embeddings, aims.rows);
+    let mut targets = pass.gather(embeddings, aims.rows);
+    let features = pass.size(vectors)[1] - pass.size(targets)[1];
+    if features > 0 {
+        let pairs = pass.input(features, aims.features);
+        targets = pass.concat(&[targets, pairs]);
+    }
     let products = pass.multiply(vectors, targets);
     let products = pass.sum_columns(products);
     let all = pass.scatter(products, aims.places, queries * aims.targets);

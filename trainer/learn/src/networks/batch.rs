@@ -2,6 +2,8 @@
 //! which part of a partition.
 
 use std::collections::HashMap;
+use std::iter::Peekable;
+use std::ops::Range;
 
 use sortie_envs::{ActionSet, EntitySet, Observation, SparseRows, members};
 use sortie_nn::layers::SplitLists;
@@ -41,6 +43,8 @@ pub(super) struct Aims<'a> {
     pub(super) rows: &'a [u32],
     /// Where their utility stands among `[queries, targets]`.
     pub(super) places: &'a [u32],
+    /// The features of each pair, one behind the other.
+    pub(super) features: &'a [f32],
 }
 
 impl View<'_> {
@@ -79,8 +83,12 @@ pub struct EntityBatch {
     timeline: Timeline,
     /// The entity that each aimed action aims at.
     targets: Vec<usize>,
+    /// The columns of agents' own rows that hold features of pairs with these.
+    related: Range<usize>,
     /// Query, row and place of every pair, block by block.
     pairs: [Vec<u32>; 3],
+    /// The features of every pair, in the same order.
+    pair_features: Vec<f32>,
 }
 
 /// The different rows among many.
@@ -132,6 +140,12 @@ impl EntityBatch {
     pub fn aim_at(&mut self, targets: impl Iterator<Item = usize>) {
         self.targets.clear();
         self.targets.extend(targets);
+    }
+
+    /// From the next [`finish`](Self::finish) on these columns of an agent's own row say how it stands to what it may aim
+    /// at, as many for each.
+    pub fn relate(&mut self, columns: Range<usize>) {
+        self.related = columns;
     }
 
     /// Forgets all states, keeps the memory.
@@ -190,7 +204,9 @@ impl EntityBatch {
         self.seen.clear();
         self.known.clear();
         self.pairs.iter_mut().for_each(Vec::clear);
+        self.pair_features.clear();
         let mut queries = (0..).zip(&self.queries);
+        let features = self.related.len() / self.targets.len().max(1);
         let mut rows = [0; EntitySet::BITS as usize];
         for sets in &self.states {
             for (entity, row) in sets.rows(agents) {
@@ -205,12 +221,15 @@ impl EntityBatch {
                 };
                 list(&mut self.seen, query.observable);
                 let targets = self.targets.iter().enumerate();
+                let mut own = self.rows.row(number as usize).peekable();
                 for (target, entity) in
                     targets.filter(|(_, entity)| query.observable >> **entity & 1 == 1)
                 {
                     let place = number * self.targets.len() as u32 + target as u32;
                     let pair = [number, row(*entity) as u32, place];
                     self.pairs.iter_mut().zip(pair).for_each(|(all, own)| all.push(own));
+                    let start = self.related.start + target * features;
+                    add_part(&mut own, start..start + features, &mut self.pair_features);
                 }
                 if self.hides {
                     list(&mut self.known, sets.agents | sets.others);
@@ -227,6 +246,7 @@ impl EntityBatch {
     /// Whoever an agent is with in what is imagined, it aims at what it sees.
     fn repeat_pairs(&mut self) {
         let (pairs, queries) = (self.pairs[0].len(), self.queries.len());
+        let features = self.pair_features.len();
         let [of_queries, rows, places] = &mut self.pairs;
         let strides = [(of_queries, queries), (rows, 0), (places, queries * self.targets.len())];
         for (all, stride) in strides {
@@ -236,6 +256,7 @@ impl EntityBatch {
                 all[block * pairs..].iter_mut().for_each(|number| *number += further);
             }
         }
+        (1..BLOCKS).for_each(|_| self.pair_features.extend_from_within(..features));
     }
 
     /// Says of every agent which team it is in, once for each imagined block.
@@ -272,12 +293,14 @@ impl EntityBatch {
     pub(super) fn aims(&self, view: View<'_>) -> Aims<'_> {
         let [queries, rows, places] = &self.pairs;
         let repeats = self.imagines && !view.imagines;
-        let pairs = if repeats { queries.len() / BLOCKS } else { queries.len() };
+        let blocks = if repeats { BLOCKS } else { 1 };
+        let (pairs, features) = (queries.len() / blocks, self.pair_features.len() / blocks);
         Aims {
             targets: self.targets.len(),
             queries: &queries[..pairs],
             rows: &rows[..pairs],
             places: &places[..pairs],
+            features: &self.pair_features[..features],
         }
     }
 
@@ -322,6 +345,21 @@ impl EntityBatch {
     /// Agents that act in all states.
     pub fn agents(&self) -> usize {
         self.queries.len()
+    }
+}
+
+/// Adds these columns of a row, zeros included. What stands before them is left behind.
+fn add_part(
+    row: &mut Peekable<impl Iterator<Item = (usize, f32)>>,
+    columns: Range<usize>,
+    all: &mut Vec<f32>,
+) {
+    let first = all.len();
+    all.resize(first + columns.len(), 0.0);
+    while let Some((column, value)) = row.next_if(|(column, _)| *column < columns.end) {
+        if let Some(place) = column.checked_sub(columns.start) {
+            all[first + place] = value;
+        }
     }
 }
 

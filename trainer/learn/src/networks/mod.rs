@@ -37,11 +37,13 @@
 //! then have three blocks of utilities, of everything that they see, of their part of a partition, and of the rest, at the
 //! price of little more than one.
 
+mod acting;
 mod agent;
 mod attention;
 mod batch;
 mod mixer;
 
+pub use acting::{Acting, Greedy, best, deployed};
 pub use agent::{AgentShape, EntityAgent, Targets};
 pub use attention::{Attended, EntityAttention, LookShape};
 pub use batch::{EntityBatch, Moment, View};

@@ -1,3 +1,5 @@
+use std::collections::BTreeMap;
+
 use sortie_envs::{EntitySet, Observation, members};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::stream;
@@ -42,6 +44,7 @@ fn batch(shares: bool, is_episode: bool) -> EntityBatch {
     let mut batch = EntityBatch::default();
     batch.share_rows(shares);
     batch.aim_at(TARGETS.entities());
+    batch.relate(RELATED.pairs());
     for (index, seen) in states(|_| EntitySet::MAX).iter().enumerate() {
         let [step, episode] = if is_episode { [index, 0] } else { [0, index] };
         batch.push_at(Moment { step, episode }, seen, part);
@@ -51,7 +54,10 @@ fn batch(shares: bool, is_episode: bool) -> EntityBatch {
 }
 
 /// Two agents and two others.
-const TARGETS: Targets = Targets { first: 1, count: 4 };
+const TARGETS: Targets = Targets { first: 1, count: 4, first_pair: 0, pair_features: 0 };
+
+/// The same, and that behind its first column a row has two features of each pair.
+const RELATED: Targets = Targets { first_pair: 1, pair_features: 2, ..TARGETS };
 
 fn agents(skip: bool, memory: usize) -> (EntityAgent, Parameters) {
     aiming(AgentShape { looking: LOOKING, actions: 4, skip, memory, targets: Targets::default() })
@@ -123,6 +129,8 @@ fn gradients_of_agents_agree_with_finite_differences() {
         (true, 6, false, none),
         (true, 0, true, TARGETS),
         (false, 6, false, TARGETS),
+        (true, 0, true, RELATED),
+        (false, 6, false, RELATED),
     ] {
         let actions = 4 + targets.count;
         let shape = AgentShape { looking: LOOKING, actions, skip, memory, targets };
@@ -222,6 +230,48 @@ fn aimed_actions_are_worth_what_their_targets_are() {
         }
     }
     assert_eq!(queries, AGENTS);
+}
+
+/// What is known of a pair counts as much as the agent's vector says, here the same for all agents: 1 and 10.
+#[test]
+fn features_of_pairs_add_to_what_targets_are_worth() {
+    let shape =
+        AgentShape { looking: LOOKING, actions: 6, skip: true, memory: 0, targets: RELATED };
+    let (agents, mut parameters) = aiming(shape);
+    let mut of_pairs = |name: &str, weights: [f32; 2]| {
+        let range = parameters.tensors().iter().find(|it| it.name == name).unwrap().range.clone();
+        let outputs = &mut parameters.values[range];
+        let width = outputs.len() / 18;
+        for (output, weight) in outputs.chunks_mut(width).skip(16).zip(weights) {
+            output.fill(weight);
+        }
+        parameters.clone()
+    };
+    of_pairs("agent.pointing.weight", [0.0; 2]);
+    let without = (agents, of_pairs("agent.pointing.bias", [0.0; 2]));
+    let with = (agents, of_pairs("agent.pointing.bias", [1.0, 10.0]));
+    let mut want = Vec::new();
+    for seen in states(|_| EntitySet::MAX) {
+        for agent in members(seen.acting().into()) {
+            let mut row = [0.0; 9];
+            seen.rows.write_dense(seen.row_of(agent), &mut row);
+            let observed = seen.observable[agent] & seen.present;
+            let worth = row[1..]
+                .as_chunks()
+                .0
+                .iter()
+                .zip(TARGETS.entities())
+                .map(|([a, b], it)| if observed >> it & 1 == 1 { a + 10.0 * b } else { 0.0 });
+            want.extend([0.0; 2].into_iter().chain(worth));
+        }
+    }
+    for (shares, in_parts) in [(false, false), (true, false), (false, true), (true, true)] {
+        let batch = batch(shares, true);
+        let [with, without] = [&with, &without].map(|it| utilities(it, &batch, in_parts));
+        let found: Vec<f32> = with.iter().zip(without).map(|(with, it)| with - it).collect();
+        assert_eq!(found.len(), want.len() * if in_parts { BLOCKS } else { 1 });
+        found.chunks(want.len()).for_each(|block| assert_near(block, &want));
+    }
 }
 
 /// Agents that go through an episode at once remember what those do that go step by step.
@@ -334,5 +384,64 @@ fn who_is_absent_is_a_thing_among_others() {
             pass.values(mixed).to_vec()
         };
         assert_near(&mix(&one), &mix(&other));
+    }
+}
+
+/// What three agents with so much memory remember of each instance behind states that they saw: of every time that they acted
+/// whose teams, whether the team's episode began, and the state's number.
+fn remembered(times: &[&[(usize, bool, usize)]]) -> BTreeMap<usize, Vec<f32>> {
+    let (agents, weights) = agents(true, 6);
+    let states = states(|_| EntitySet::MAX);
+    let mut acting = Acting::default();
+    for teams in times {
+        acting.clear();
+        for (instance, begins, state) in *teams {
+            acting.push(*instance, *begins, &states[*state]);
+        }
+        acting.choose(&agents, &weights.values, &mut [0; 6]);
+    }
+    acting.memories
+}
+
+#[test]
+fn who_acts_remembers_its_own_episode_and_nothing_of_the_one_before() {
+    let once = remembered(&[&[(0, true, 0)]]);
+    assert!(once[&0].iter().all(|number| *number != 0.0));
+    let twice = remembered(&[&[(0, true, 0)], &[(0, false, 2)]]);
+    assert_ne!(twice[&0], remembered(&[&[(0, true, 2)]])[&0]);
+    let anew = remembered(&[&[(0, true, 2)], &[(0, false, 1)], &[(0, true, 0)]]);
+    assert_eq!(anew[&0], once[&0]);
+    // Whoever is absent remembers nothing.
+    let absent = remembered(&[&[(0, true, 0)], &[(0, false, 1)]]);
+    assert_eq!(absent[&0][2 * 6..], [0.0; 6]);
+    assert!(absent[&0][..2 * 6].iter().all(|number| *number != 0.0));
+    // Teams act side by side, in any order.
+    let both = remembered(&[&[(5, true, 2), (0, true, 0)], &[(0, false, 2), (5, false, 0)]]);
+    let other = remembered(&[&[(0, true, 2)], &[(0, false, 0)]]);
+    for (both, alone) in [(&both[&0], &twice[&0]), (&both[&5], &other[&0])] {
+        for (both, alone) in both.iter().zip(alone) {
+            assert!((both - alone).abs() < 1e-6, "{both} {alone}");
+        }
+    }
+}
+
+/// Actions are those of the agents that act, also where one before them does not.
+#[test]
+fn who_is_absent_does_what_is_left_to_it() {
+    let (agents, parameters) = agents(true, 0);
+    let whole = &states(|_| EntitySet::MAX)[0];
+    let chosen = |seen: &Observation| {
+        let (mut acting, mut actions) = (Acting::default(), [9; 3]);
+        acting.push(0, true, seen);
+        acting.choose(&agents, &parameters.values, &mut actions);
+        actions
+    };
+    let everybody = chosen(whole);
+    for agent in 0..3 {
+        let mut seen = Observation { absent: 1 << agent, ..whole.clone() };
+        seen.available[agent] = 0b1000;
+        let mut want = everybody;
+        want[agent] = 3;
+        assert_eq!(chosen(&seen), want, "{agent}");
     }
 }

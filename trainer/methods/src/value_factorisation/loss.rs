@@ -4,9 +4,11 @@
 //! and the target networks' value of the actions that the online network prefers (double Q-learning),
 //! from what is really seen (dissertation equation 5.10).
 
-use sortie_envs::{ActionSet, EntitySet, Observation, members};
+use sortie_envs::{EntitySet, Observation};
 use sortie_learn::learner::{Loss, Shard};
-use sortie_learn::networks::{AgentShape, BLOCKS, EntityAgent, EntityBatch, Mixer, MixerShape};
+use sortie_learn::networks::{
+    AgentShape, BLOCKS, EntityAgent, EntityBatch, Mixer, MixerShape, best,
+};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Parameters, Var};
 
@@ -91,17 +93,6 @@ impl Lesson {
     pub fn targets(&self) -> &[f32] {
         &self.targets
     }
-}
-
-/// The available action of the highest utility, the first of several.
-pub(super) fn best(utilities: &[f32], available: ActionSet) -> usize {
-    let mut best = available.trailing_zeros() as usize;
-    for action in members(available.into()) {
-        if utilities[action] > utilities[best] {
-            best = action;
-        }
-    }
-    best
 }
 
 impl Networks {

@@ -6,7 +6,7 @@ use sortie_envs::random::below;
 use sortie_envs::{EntitySet, Environment, Random, Spec, members};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::learner::Rules;
-use sortie_learn::networks::Moment;
+use sortie_learn::networks::{Acting, Greedy, Moment, deployed};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::session::Opening;
@@ -15,7 +15,6 @@ use sortie_learn::{
     Act, LearnError, Learner, Method, Now, Scenes, State, Trajectories, Transition,
 };
 
-use super::acting::{Acting, Greedy, deployed};
 use super::loss::{Lesson, Networks};
 use super::{Config, ReplayConfig, ReturnsConfig, Unit};
 
@@ -165,8 +164,10 @@ impl Gathering<'_> {
             }
         }
         let targets = self.config.targets(self.environment.spec());
-        lesson.before.aim_at(targets.entities());
-        lesson.after.aim_at(targets.entities());
+        for batch in [&mut lesson.before, &mut lesson.after] {
+            batch.aim_at(targets.entities());
+            batch.relate(targets.pairs());
+        }
         lesson.before.finish(self.config.imagination.partitions.imagines());
         lesson.after.finish(false);
     }

@@ -4,7 +4,6 @@
 //! actions, so that both learn from the team's reward. REFIL learns besides from imagined utilities, for
 //! which each agent sees only its part of a random partition, or only the rest.
 
-mod acting;
 mod loss;
 mod method;
 mod partitions;
@@ -25,7 +24,6 @@ use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method, sections, words};
 use sortie_nn::layers::split_attention::WIDTHS;
 
-pub use acting::Acting;
 pub use loss::{Lesson, Losses, NetworkShape, Networks};
 pub use method::ValueFactorisation;
 pub use partitions::Partitions;
@@ -206,11 +204,7 @@ impl Config {
 
     /// What the agents point at.
     fn targets(&self, spec: &Spec) -> Targets {
-        if self.network.head == Head::Pointing {
-            Targets { first: spec.targets.start, count: spec.targets.len() }
-        } else {
-            Targets::default()
-        }
+        if self.network.head == Head::Pointing { Targets::of(spec) } else { Targets::default() }
     }
 }
 

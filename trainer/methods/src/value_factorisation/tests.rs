@@ -1,5 +1,3 @@
-use std::collections::BTreeMap;
-
 use sortie_envs::{EntitySet, Observation};
 use sortie_learn::learner::Shard;
 use sortie_learn::networks::{EntityBatch, Moment};
@@ -323,46 +321,6 @@ fn targets_are_what_the_target_network_says_of_what_the_online_network_prefers()
     }
 }
 
-/// What three agents with so much memory remember of each instance behind states that they saw: of every time that they acted
-/// whose teams, whether the team's episode began, and the state's number.
-fn remembered(times: &[&[(usize, bool, usize)]]) -> BTreeMap<usize, Vec<f32>> {
-    let mut shape = shape(MixerKind::Sum, true);
-    shape.agent.memory = 6;
-    let (networks, weights) = networks(shape, 5);
-    let states = states(10, |_| EntitySet::MAX);
-    let mut acting = Acting::default();
-    for teams in times {
-        acting.clear();
-        for (instance, begins, state) in *teams {
-            acting.push(*instance, *begins, &states[*state]);
-        }
-        acting.choose(&networks.agents, &weights.values, &mut [0; 6]);
-    }
-    acting.memories
-}
-
-#[test]
-fn who_acts_remembers_its_own_episode_and_nothing_of_the_one_before() {
-    let once = remembered(&[&[(0, true, 0)]]);
-    assert!(once[&0].iter().all(|number| *number != 0.0));
-    let twice = remembered(&[&[(0, true, 0)], &[(0, false, 2)]]);
-    assert_ne!(twice[&0], remembered(&[&[(0, true, 2)]])[&0]);
-    let anew = remembered(&[&[(0, true, 2)], &[(0, false, 1)], &[(0, true, 0)]]);
-    assert_eq!(anew[&0], once[&0]);
-    // Whoever is absent remembers nothing.
-    let absent = remembered(&[&[(0, true, 0)], &[(0, false, 1)]]);
-    assert_eq!(absent[&0][2 * 6..], [0.0; 6]);
-    assert!(absent[&0][..2 * 6].iter().all(|number| *number != 0.0));
-    // Teams act side by side, in any order.
-    let both = remembered(&[&[(5, true, 2), (0, true, 0)], &[(0, false, 2), (5, false, 0)]]);
-    let other = remembered(&[&[(0, true, 2)], &[(0, false, 0)]]);
-    for (both, alone) in [(&both[&0], &twice[&0]), (&both[&5], &other[&0])] {
-        for (both, alone) in both.iter().zip(alone) {
-            assert!((both - alone).abs() < 1e-6, "{both} {alone}");
-        }
-    }
-}
-
 #[test]
 fn without_imagination_lambda_is_none_and_a_lambda_of_nothing_changes_no_gradient() {
     for kind in MIXERS {
@@ -376,26 +334,5 @@ fn without_imagination_lambda_is_none_and_a_lambda_of_nothing_changes_no_gradien
         for (plain, imagined) in plain.iter().zip(&imagined) {
             assert!((plain - imagined).abs() < 1e-5, "{kind:?}: {plain} against {imagined}");
         }
-    }
-}
-
-/// Actions are those of the agents that act, also where one before them does not.
-#[test]
-fn who_is_absent_does_what_is_left_to_it() {
-    let (networks, parameters) = networks(shape(MixerKind::Sum, true), 3);
-    let whole = &states(1, |_| EntitySet::MAX)[0];
-    let chosen = |seen: &Observation| {
-        let (mut acting, mut actions) = (Acting::default(), [9; 3]);
-        acting.push(0, true, seen);
-        acting.choose(&networks.agents, &parameters.values, &mut actions);
-        actions
-    };
-    let everybody = chosen(whole);
-    for agent in 0..3 {
-        let mut seen = Observation { absent: 1 << agent, ..whole.clone() };
-        seen.available[agent] = 0b1000;
-        let mut want = everybody;
-        want[agent] = 3;
-        assert_eq!(chosen(&seen), want, "{agent}");
     }
 }

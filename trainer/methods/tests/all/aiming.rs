@@ -22,27 +22,33 @@ const STEPS: u8 = 5;
 /// Two pickers and four trees, one of which is ripe and another hidden, others in every step. To pick is to aim at a tree.
 struct Orchard {
     spec: Spec,
+    /// Whether pickers are told how each tree is; else it is to be seen of the tree.
+    is_told: bool,
     /// Of every instance steps, pickings of ripe trees, the ripe tree and the hidden one.
     states: Vec<[u8; 4]>,
 }
 
 impl Orchard {
-    fn new(instances: usize) -> Self {
+    fn new(instances: usize, is_told: bool) -> Self {
         let entities = PICKERS + TREES;
         let aimed = (0..TREES).map(|tree| format!("pick-{tree}"));
+        let own = ["is-picker", "is-tree", "is-ripe"];
+        let features = if is_told { 3 + TREES } else { 3 };
+        let ripe = (0..TREES).map(|tree| format!("is-ripe-{tree}"));
         let spec = Spec {
             name: "orchard",
-            shape: Shape { agents: PICKERS, entities, tasks: 0, actions: 1 + TREES, features: 3 },
-            features: ["is-picker", "is-tree", "is-ripe"].map(str::to_owned).to_vec(),
+            shape: Shape { agents: PICKERS, entities, tasks: 0, actions: 1 + TREES, features },
+            features: own.map(str::to_owned).into_iter().chain(ripe).take(features).collect(),
             actions: std::iter::once("wait".to_owned()).chain(aimed).collect(),
             targets: PICKERS..entities,
+            pairs: 3..features,
             safe_action: Some(0),
             row_entries: 2,
             state_bytes: 4,
             episode_limit: STEPS.into(),
             ..Spec::default()
         };
-        Self { spec, states: vec![[STEPS, 0, 0, 1]; instances] }
+        Self { spec, is_told, states: vec![[STEPS, 0, 0, 1]; instances] }
     }
 }
 
@@ -73,7 +79,7 @@ impl Environment for Orchard {
     }
 
     fn open(&self, instances: usize, _: Split) -> Box<dyn Environment> {
-        Box::new(Self::new(instances))
+        Box::new(Self::new(instances, self.is_told))
     }
 
     fn reset(&mut self, instance: usize, random: &mut Random) {
@@ -112,7 +118,7 @@ impl Environment for Orchard {
     }
 
     fn observe(&self, state: &[u8], _: usize, wanted: EntitySet, seen_by: &mut Observation) {
-        let (ripe, hidden) = (PICKERS + usize::from(state[2]), state[3]);
+        let (ripe, hidden) = (usize::from(state[2]), state[3]);
         *seen_by = Observation::new(&self.spec.shape);
         seen_by.present = (1 << (PICKERS + TREES)) - 1;
         seen_by.entities = wanted & seen_by.present;
@@ -120,8 +126,10 @@ impl Environment for Orchard {
         seen_by.available.fill(available(hidden));
         for entity in sortie_envs::members(seen_by.entities) {
             seen_by.rows.push((entity >= PICKERS).into(), 1.0);
-            if entity == ripe {
-                seen_by.rows.push(2, 1.0);
+            match entity.checked_sub(PICKERS) {
+                None if self.is_told => seen_by.rows.push(3 + ripe, 1.0),
+                Some(tree) if tree == ripe && !self.is_told => seen_by.rows.push(2, 1.0),
+                _ => {}
             }
             seen_by.rows.end_row();
         }
@@ -137,11 +145,13 @@ impl Environment for Orchard {
 }
 
 /// A run of a method in the orchard, whose greedy team picks so much in the mean.
-fn learned(method: &str, assignments: &[&str]) -> (Session, f64, tempfile::TempDir) {
-    let orchard = || Box::new(Orchard::new(1));
+fn learned(method: &str, assignments: &[&str], is_told: bool) -> (Session, f64, tempfile::TempDir) {
+    let orchard = || Box::new(Orchard::new(1, is_told));
     let setup = with(&find(method).unwrap().preset("fast").unwrap(), assignments);
     let environment = EnvironmentChoice::of(&*orchard(), 16);
-    let run = RunConfig { steps: 3_000, evaluate_every: 3_000, final_episodes: 0, ..setup.run };
+    // What is told is one number for each tree; looks are as many as an embedding is wide.
+    let steps = if is_told { 6_000 } else { 3_000 };
+    let run = RunConfig { steps, evaluate_every: steps, final_episodes: 0, ..setup.run };
     let setup = sortie_learn::session::Setup { environment, run, ..setup };
     let description = RunDescription::new(setup, 1, 1);
     let (setup, environment) = (&description.config, &*orchard());
@@ -157,7 +167,9 @@ fn learned(method: &str, assignments: &[&str]) -> (Session, f64, tempfile::TempD
 
 #[test]
 fn an_orchard_holds_to_the_laws() {
-    assert_eq!(conformance::check(&Orchard::new(2), 1, 20), Ok(()));
+    for is_told in [false, true] {
+        assert_eq!(conformance::check(&Orchard::new(2, is_told), 1, 20), Ok(()));
+    }
 }
 
 /// Ten pickings are all that there are; by chance one in four hits, without the looks of the targets one in three.
@@ -169,24 +181,36 @@ fn a_head_that_points_learns_whom_to_aim_at_and_a_numbered_one_cannot() {
         ("refil", &[]),
         ("vdn", &["network.memory=16", "replay.unit=episodes"]),
     ] {
-        let (_, picked, _) = learned(method, assignments);
+        let (_, picked, _) = learned(method, assignments, false);
         assert!(picked > 8.5, "{method} {assignments:?}: {picked}");
     }
-    let (_, picked, _) = learned("vdn", &["network.head=numbered"]);
+    let (_, picked, _) = learned("vdn", &["network.head=numbered"], false);
     assert!(picked < 5.0, "{picked}");
 }
 
 #[test]
+fn what_is_told_of_pairs_says_whom_to_aim_at() {
+    for method in ["vdn", "qmix", "refil"] {
+        let (_, picked, _) = learned(method, &[], true);
+        assert!(picked > 8.5, "{method}: {picked}");
+    }
+}
+
+#[test]
 fn what_points_is_exported_with_its_targets_and_gives_its_golden_answers() {
-    let (session, _, folder) = learned("vdn", &[]);
-    let orchard = Orchard::new(1);
-    let (description, method, curve) = (session.description(), session.method(), session.curve());
-    let run = MethodRun { description, environment: &orchard, method, curve };
-    let draft =
-        draft_method(&run, &folder.path().join("run"), &[orchard.spec.shape], &[], 1).unwrap();
-    let bundle = draft.write(&folder.path().join("bundle")).unwrap();
-    let onnx = std::fs::read(bundle.folder().join("agent.onnx")).unwrap();
-    let says = |text: &[u8]| onnx.windows(text.len()).any(|bytes| bytes == text);
-    assert!(says(b"sortie.targets") && says(b"2..6") && says(b"pointing.query"));
-    assert!(bundle.golden().cases.iter().any(|case| case.observation.visible.len() < 6));
+    for is_told in [false, true] {
+        let (session, _, folder) = learned("vdn", &[], is_told);
+        let orchard = Orchard::new(1, is_told);
+        let (description, method, curve) =
+            (session.description(), session.method(), session.curve());
+        let run = MethodRun { description, environment: &orchard, method, curve };
+        let draft =
+            draft_method(&run, &folder.path().join("run"), &[orchard.spec.shape], &[], 1).unwrap();
+        let bundle = draft.write(&folder.path().join("bundle")).unwrap();
+        let onnx = std::fs::read(bundle.folder().join("agent.onnx")).unwrap();
+        let says = |text: &[u8]| onnx.windows(text.len()).any(|bytes| bytes == text);
+        assert!(says(b"sortie.targets") && says(b"2..6") && says(b"pointing.query"));
+        assert_eq!([says(b"sortie.pairs"), says(b"3..7"), says(b"pairs.weights")], [is_told; 3]);
+        assert!(bundle.golden().cases.iter().any(|case| case.observation.visible.len() < 6));
+    }
 }

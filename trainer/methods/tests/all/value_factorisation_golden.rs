@@ -124,7 +124,7 @@ const SHAPE: NetworkShape = NetworkShape {
         actions: ACTIONS,
         skip: false,
         memory: 8,
-        targets: Targets { first: 0, count: 0 },
+        targets: Targets { first: 0, count: 0, first_pair: 0, pair_features: 0 },
     },
     mixer: MixerShape {
         kind: MixerKind::Qmix,

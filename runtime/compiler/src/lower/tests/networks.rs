@@ -93,20 +93,24 @@ impl Random {
         AgentLayers { skip: Some(self.matrix(width, width)), ..layers }
     }
 
-    /// The same with a head that points: of several actions some, the last ones, aim at entities.
+    /// The same with a head that points: of several actions some, the last ones, aim at entities. Most are told of pairs.
     pub(crate) fn pointing(&mut self, mut layers: AgentLayers, shape: Shape) -> AgentLayers {
         let count = 1 + self.below(shape.actions - 1);
+        let pair_features = self.below(4).min(shape.features / count);
         let untargeted = shape.actions - count;
         let head = layers.steps.pop();
         let Some(Step::Dense(Layer { matrix: Matrix { inputs, .. }, .. })) = head else {
             panic!("a network ends in a layer");
         };
-        layers.steps.push(Step::Dense(self.layer(inputs, untargeted + shape.width, false)));
+        let outputs = untargeted + shape.width + pair_features;
+        layers.steps.push(Step::Dense(self.layer(inputs, outputs, false)));
         layers.targets = Some(Targets {
             untargeted: untargeted as u16,
             first_entity: self.below(shape.n_max + 2) as u16,
             count: count as u16,
             width: shape.width as u16,
+            first_pair: self.below(shape.features - count * pair_features + 1) as u16,
+            pair_features: pair_features as u16,
         });
         layers
     }
@@ -215,9 +219,17 @@ pub(crate) fn reference(
     });
     let Some(targets) = layers.targets else { return answer };
     let (untargeted, query) = answer.split_at(targets.untargeted.into());
-    let aimed = (usize::from(targets.first_entity)..).take(targets.count.into()).map(|entity| {
+    let own = &observation.rows[observation.self_index * observation.features..];
+    let pairs = &own[targets.first_pair.into()..];
+    let aimed = (0..usize::from(targets.count)).map(|target| {
+        let entity = usize::from(targets.first_entity) + target;
         let place = observation.visible.iter().position(|visible| visible == entity);
-        place.map_or(0.0, |place| query.iter().zip(&visible[place]).map(|(q, x)| q * x).sum())
+        let features = usize::from(targets.pair_features);
+        let pair = &pairs[target * features..][..features];
+        place.map_or(0.0, |place| {
+            let aim = visible[place].iter().copied().chain(pair.iter().map(|it| f64::from(*it)));
+            query.iter().zip(aim).map(|(q, x)| q * x).sum()
+        })
     });
     untargeted.iter().copied().chain(aimed).collect()
 }

@@ -6,12 +6,24 @@ use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Policy};
 use sortie_envs::random::{chance, member};
 use sortie_envs::{ActionSet, EntitySet, Observation, Random, members};
-use sortie_learn::export::{DeployedAgents, DeployedNetworks};
-use sortie_learn::networks::{EntityAgent, EntityBatch};
-use sortie_learn::{Act, LearnError, Scenes};
 use sortie_nn::tape::Tape;
 
-use super::loss::best;
+use super::agent::EntityAgent;
+use super::batch::EntityBatch;
+use crate::act::{Act, Scenes};
+use crate::error::LearnError;
+use crate::export::{DeployedAgents, DeployedNetworks};
+
+/// The available action of the highest utility, the first of several.
+pub fn best(utilities: &[f32], available: ActionSet) -> usize {
+    let mut best = available.trailing_zeros() as usize;
+    for action in members(available.into()) {
+        if utilities[action] > utilities[best] {
+            best = action;
+        }
+    }
+    best
+}
 
 /// Buffers for the decisions of any number of teams at once, and what their agents remember.
 #[derive(Debug, Default)]
@@ -30,7 +42,7 @@ pub struct Acting {
     /// `[teams, A, memory]`
     memory: Vec<f32>,
     /// Of every instance `[A, memory]`; empty where agents remember nothing.
-    pub(super) memories: BTreeMap<usize, Vec<f32>>,
+    pub memories: BTreeMap<usize, Vec<f32>>,
 }
 
 impl Acting {
@@ -46,7 +58,7 @@ impl Acting {
     }
 
     /// Forgets all teams, but not what they remember.
-    pub(super) fn clear(&mut self) {
+    pub fn clear(&mut self) {
         self.batch.clear();
         self.instances.clear();
         self.acting.clear();
@@ -54,7 +66,7 @@ impl Acting {
     }
 
     /// Adds the team of an instance.
-    pub(super) fn push(&mut self, instance: usize, begins: bool, seen: &Observation) {
+    pub fn push(&mut self, instance: usize, begins: bool, seen: &Observation) {
         self.slots = seen.observable.len();
         self.acting.extend(members(seen.acting().into()));
         self.available.extend(seen.available.iter().map(|open| open.trailing_zeros() as u16));
@@ -93,6 +105,7 @@ impl Acting {
     ) {
         let shape = agents.shape;
         self.batch.aim_at(shape.targets.entities());
+        self.batch.relate(shape.targets.pairs());
         self.batch.finish(false);
         self.recall(shape.memory);
         let Self { batch, tape, memory, .. } = self;
@@ -133,14 +146,16 @@ impl Acting {
 }
 
 /// Agents that take the best action that they know.
-pub(super) struct Greedy<'a> {
+#[derive(Debug)]
+pub struct Greedy<'a> {
     agents: &'a EntityAgent,
     weights: &'a [f32],
     acting: Acting,
 }
 
 impl<'a> Greedy<'a> {
-    pub(super) fn new(agents: &'a EntityAgent, weights: &'a [f32]) -> Self {
+    /// They act by these weights, and remember nothing yet.
+    pub fn new(agents: &'a EntityAgent, weights: &'a [f32]) -> Self {
         Self { agents, weights, acting: Acting::default() }
     }
 }
@@ -159,7 +174,7 @@ impl Act for Greedy<'_> {
 }
 
 /// The agents as they are deployed.
-pub(super) fn deployed<'a>(agents: &'a EntityAgent, weights: &'a [f32]) -> DeployedAgents<'a> {
+pub fn deployed<'a>(agents: &'a EntityAgent, weights: &'a [f32]) -> DeployedAgents<'a> {
     let (network, memory) = agents.deployed(weights);
     let networks = DeployedNetworks::Attention { network, memory };
     DeployedAgents { networks, policy: Box::new(NetworkPolicy::new(agents, weights)) }
@@ -207,7 +222,9 @@ impl<'a> NetworkPolicy<'a> {
         self.batch.push(&self.seen);
         // Who is not seen has no number here, and is beyond all that have.
         let place = |entity| self.order.iter().position(|it| *it == entity).unwrap_or(UNSEEN);
-        self.batch.aim_at(self.agents.shape.targets.entities().map(place));
+        let targets = self.agents.shape.targets;
+        self.batch.aim_at(targets.entities().map(place));
+        self.batch.relate(targets.pairs());
         self.batch.finish(false);
         Ok(())
     }
