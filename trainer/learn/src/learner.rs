@@ -76,13 +76,23 @@ pub struct Rules {
     pub target_rate: f32,
     /// How far the averaged weights move in every update.
     pub average_rate: f32,
+    /// Whether they begin as a plain mean, so that the first weights do not linger.
+    pub mean_first: bool,
 }
 
 impl From<&OptimiserConfig> for Rules {
     fn from(config: &OptimiserConfig) -> Self {
         let OptimiserConfig { epsilon, clip, target_rate, average_rate, .. } = *config;
         let adam = AdamRules { epsilon, ..AdamRules::default() };
-        Self { rule: Rule::Adam, adam, clip, target_every: 1, target_rate, average_rate }
+        Self {
+            rule: Rule::Adam,
+            adam,
+            clip,
+            target_every: 1,
+            target_rate,
+            average_rate,
+            mean_first: false,
+        }
     }
 }
 
@@ -229,7 +239,8 @@ impl<S: Default + Send> Learner<S> {
         if updates.is_multiple_of(rules.target_every) {
             come_nearer(target, &online.values, rules.target_rate);
         }
-        come_nearer(average, &online.values, rules.average_rate);
+        let least = if rules.mean_first { 1.0 / *updates as f32 } else { 0.0 };
+        come_nearer(average, &online.values, rules.average_rate.max(least));
         UpdateReport { loss: first.reported, gradient_norm }
     }
 

@@ -4,9 +4,10 @@
 use std::collections::HashMap;
 
 use sortie_envs::{ActionSet, EntitySet, Observation, SparseRows, members};
-use sortie_nn::layers::SplitLists;
+use sortie_nn::layers::VisibleLists;
 
 use super::BLOCKS;
+use super::mixer::Teams;
 
 /// When a state was, in which of the episodes that go through time side by side.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -25,7 +26,7 @@ pub struct View<'a> {
     /// The row of every query, where rows are shared; else query i belongs to row i.
     pub own: &'a [u32],
     /// For each query the rows that it sees, those within its part first.
-    pub lists: &'a SplitLists,
+    pub lists: &'a VisibleLists,
     /// Whether the parts are to be attended to as well.
     pub imagines: bool,
 }
@@ -65,8 +66,8 @@ pub struct EntityBatch {
     rows: SparseRows,
     others: SparseRows,
     shared: Option<Shared>,
-    seen: SplitLists,
-    known: SplitLists,
+    seen: VisibleLists,
+    known: VisibleLists,
     states: Vec<Sets>,
     queries: Vec<Query>,
     /// Whether some agent does not see everything that exists in its state.
@@ -200,8 +201,8 @@ impl EntityBatch {
             let row = |entity: usize| rows[entity];
             for (number, query) in queries.by_ref().take(sets.agents.count_ones() as usize) {
                 let part = if imagines { query.within } else { EntitySet::MAX };
-                let list = |lists: &mut SplitLists, seen: EntitySet| {
-                    lists.push(members(seen & part).map(row), members(seen & !part).map(row));
+                let list = |lists: &mut VisibleLists, seen: EntitySet| {
+                    lists.push_parts(members(seen & part).map(row), members(seen & !part).map(row));
                 };
                 list(&mut self.seen, query.observable);
                 let targets = self.targets.iter().enumerate();
@@ -260,7 +261,7 @@ impl EntityBatch {
         self.view(if self.hides { &self.known } else { &self.seen })
     }
 
-    fn view<'a>(&'a self, lists: &'a SplitLists) -> View<'a> {
+    fn view<'a>(&'a self, lists: &'a VisibleLists) -> View<'a> {
         let (rows, own) = match &self.shared {
             Some(Shared { rows, places, .. }) => (rows, &places[..self.agents()]),
             None => (&self.rows, &[][..]),
@@ -304,14 +305,9 @@ impl EntityBatch {
         &self.sizes
     }
 
-    /// The same as numbers of a column.
-    pub(super) fn team_sizes(&self) -> &[f32] {
-        &self.team_sizes
-    }
-
-    /// `[2 * agents]`: the state of every agent by its number, of all agents twice.
-    pub(super) fn teams(&self) -> &[u32] {
-        &self.teams
+    /// The agents of every state as a team, which knows everything that exists there.
+    pub fn teams(&self) -> Teams<'_> {
+        Teams { known: self.known(), numbers: &self.teams, sizes: &self.team_sizes }
     }
 
     /// The actions that each agent may take.
