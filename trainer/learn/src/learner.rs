@@ -159,6 +159,14 @@ impl Loss {
         let total = loss(pass);
         Self { total, reported: pass.values(total)[0].into() }
     }
+
+    /// The part that some values have in the mean squared difference of so many to their targets.
+    pub fn mean_square(pass: &mut Pass<'_>, values: Var, targets: &[f32], count: usize) -> Self {
+        let pairs = pass.values(values).iter().zip(targets);
+        let squares: f64 = pairs.map(|(value, y)| f64::from((value - y) * (value - y))).sum();
+        let total = pass.squared_error(values, targets, 1.0 / count as f32);
+        Self { total, reported: squares / count as f64 }
+    }
 }
 
 /// The memory of a shard.

@@ -321,6 +321,12 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
         ((f64::from(reward) - mean) / deviation) as f32
     }
 
+    /// Whether there is a state that so many more follow, in which something was done.
+    pub fn can_draw(&self, steps: usize) -> bool {
+        // Of two states behind each other something was done in one.
+        self.streams.iter().any(|stream| (stream.next - stream.kept_from) as usize > steps + 1)
+    }
+
     /// Draws a state that so many more follow, in which something was done. There needs to be one.
     pub fn draw(&self, steps: usize, random: &mut Random) -> Place {
         loop {

@@ -10,7 +10,8 @@ use sortie_learn::run::checkpoint::{Checkpoint, OpenFor};
 use sortie_nn::layers::gru::lengths;
 
 use super::Config;
-use super::agents::{UtilityNetwork, UtilityShape, tensors};
+use super::agents::{UtilityNetwork, UtilityShape};
+use super::records::config::measured;
 
 /// What another run has learned, by whichever preset.
 #[derive(Clone, Debug)]
@@ -36,9 +37,14 @@ impl Learned {
         match config {
             Config::Records(config) => {
                 let shape = config.learns_allocator().then(|| config.allocator.shape(spec));
-                let value = |shape| network(checkpoint, "allocator/average", shape);
+                let name = |of, optimiser| format!("{of}/{}", measured(optimiser));
+                let value = |shape| {
+                    let name = name("allocator", &config.allocator.optimiser);
+                    network(checkpoint, &name, shape)
+                };
+                let agents = name("agents", &config.optimiser);
                 Ok(Self {
-                    network: network(checkpoint, "agents/average", config.network.shape(spec))?,
+                    network: network(checkpoint, &agents, config.network.shape(spec))?,
                     memory_unit: Vec::new(),
                     team_values: shape.map(value).transpose()?,
                 })
@@ -65,7 +71,7 @@ fn network(
     name: &str,
     shape: UtilityShape,
 ) -> Result<UtilityNetwork, LearnError> {
-    let parameters = checkpoint.vector(name, &tensors(shape))?;
+    let parameters = checkpoint.vector(name, &shape.tensors())?;
     let misfit = || checkpoint.bad(format!("`{name}` does not fit its shape"));
     UtilityNetwork::from_parameters(shape, parameters).ok_or_else(misfit)
 }

@@ -115,8 +115,12 @@ const STATES: usize = 8;
 const WIDTH: usize = 16;
 const MIXING: usize = 8;
 
-const LOOKING_SHAPE: LookShape =
-    LookShape { input: FEATURES + ACTIONS, active_inputs: FEATURES + ACTIONS, width: WIDTH, heads: 4 };
+const LOOKING_SHAPE: LookShape = LookShape {
+    input: FEATURES + ACTIONS,
+    active_inputs: FEATURES + ACTIONS,
+    width: WIDTH,
+    heads: 4,
+};
 
 const SHAPE: NetworkShape = NetworkShape {
     agent: AgentShape {

@@ -3,10 +3,10 @@
 use sortie_envs::Spec;
 use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Text, Truth, Whole};
 use sortie_learn::configuration::{OPTIMISER, SHARE, STEPS, exploration, require};
+use sortie_learn::networks::MixerKind;
 use sortie_learn::session::{EnvironmentChoice, Setup};
 use sortie_learn::{LearnError, section, sections};
 
-use super::mixer::{MixerKind, MixerShape};
 use crate::alma::agents::{Columns, Conditioning, UtilityShape};
 
 pub use sortie_learn::configuration::{ExplorationConfig, OptimiserConfig};
@@ -212,6 +212,11 @@ impl Config {
     }
 }
 
+/// What checkpoints call the weights that are measured: those that are averaged, where any are.
+pub(crate) fn measured(optimiser: &OptimiserConfig) -> &'static str {
+    if optimiser.average_rate < 1.0 { "average" } else { "online" }
+}
+
 /// The name of the allocator that a run learns.
 pub(crate) const LEARNED: &str = "learned";
 
@@ -280,12 +285,6 @@ impl AgentNetworkConfig {
 }
 
 impl MixerConfig {
-    /// The mixer's shape for entities of so many input columns.
-    pub fn shape(&self, input: usize) -> MixerShape {
-        let Self { kind, width, heads, mixing, .. } = *self;
-        MixerShape { kind, input, width, heads, mixing }
-    }
-
     /// What rewards are multiplied by.
     pub fn reward_factor(&self) -> f32 {
         if self.kind == MixerKind::Qmix { self.reward_scale } else { 1.0 }
