@@ -505,6 +505,23 @@ mod tests {
     }
 
     #[test]
+    fn averaged_weights_may_begin_as_a_plain_mean() {
+        let rules = Rules { average_rate: 0.25, mean_first: true, ..Rules::default() };
+        let mut learner = learner(rules, 1);
+        let mut all = Vec::new();
+        for number in 1..=5 {
+            let before = learner.0.average.clone();
+            update(&mut learner, ROWS);
+            let Learner { online, average, .. } = &learner.0;
+            all.push(online.values[7]);
+            let mean = all.iter().sum::<f32>() / number as f32;
+            let moved = before[7] + 0.25 * (online.values[7] - before[7]);
+            let want = if number > 4 { moved } else { mean };
+            assert!((average[7] - want).abs() < 1e-6, "{number}");
+        }
+    }
+
+    #[test]
     fn a_gradient_may_be_shortened_in_another_way() {
         let (mut learner, layers) = learner(Rules::default(), 1);
         let (first, x, targets) = (learner.online.clone(), random(1, 6), random(2, 3));

@@ -330,15 +330,32 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
     /// Draws a state that so many more follow, in which something was done. There needs to be one.
     pub fn draw(&self, steps: usize, random: &mut Random) -> Place {
         loop {
+            let place = self.draw_any(steps, random);
+            if self.end(place) != End::Nothing {
+                return place;
+            }
+        }
+    }
+
+    /// The same of any state, without looking at it.
+    pub fn draw_any(&self, steps: usize, random: &mut Random) -> Place {
+        loop {
             let instance = below(random, self.streams.len());
             let stream = &self.streams[instance];
             let kept = (stream.next - stream.kept_from) as usize;
             let ahead = below(random, kept.saturating_sub(steps)) as u64;
-            let place = Place { instance: instance as u32, number: stream.kept_from + ahead };
-            if kept > steps && self.end(place) != End::Nothing {
-                return place;
+            if kept > steps {
+                return Place { instance: instance as u32, number: stream.kept_from + ahead };
             }
         }
+    }
+
+    /// Reads a little of all that is kept of a state, so that it is on its way from memory.
+    pub fn fetch(&self, place: Place) -> u8 {
+        let (state, actions) = (self.state(place), self.actions(place));
+        let ends = [state.first(), state.last()].map(|byte| byte.copied().unwrap_or(0));
+        let action = actions.first().copied().unwrap_or(0);
+        ends[0] ^ ends[1] ^ action as u8 ^ self.rewards(place).team.to_bits() as u8
     }
 
     /// What followed a state within so many steps or until its episode ended.

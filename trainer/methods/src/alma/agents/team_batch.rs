@@ -120,18 +120,21 @@ impl TeamBatch {
         task: impl Fn(usize) -> u8,
     ) {
         let team = EntitySet::from(team);
-        for (rows, entities) in [(&mut self.input.rows, team), (&mut self.others, sight & !team)] {
-            for entity in members(entities) {
-                rows.push_row(&seen.rows, seen.row_of(entity));
-                if entity < seen.observable.len() && last_action(entity) != NO_ACTION {
-                    rows.push(self.columns.features + usize::from(last_action(entity)), 1.0);
-                }
-                // A mark, where there are columns for that.
-                if self.conditioning == Conditioning::Input && task(entity) != UNASSIGNED {
-                    rows.push(self.columns.unmarked() + usize::from(task(entity)), 1.0);
-                }
-                rows.end_row();
+        for (row, entity) in members(seen.entities).enumerate() {
+            let rows = match (team >> entity & 1, sight >> entity & 1) {
+                (1, _) => &mut self.input.rows,
+                (_, 1) => &mut self.others,
+                _ => continue,
+            };
+            rows.push_row(&seen.rows, row);
+            if entity < seen.observable.len() && last_action(entity) != NO_ACTION {
+                rows.push(self.columns.features + usize::from(last_action(entity)), 1.0);
             }
+            // A mark, where there are columns for that.
+            if self.conditioning == Conditioning::Input && task(entity) != UNASSIGNED {
+                rows.push(self.columns.unmarked() + usize::from(task(entity)), 1.0);
+            }
+            rows.end_row();
         }
         self.ends.push((self.input.rows.len() as u32, self.others.len() as u32));
     }
@@ -205,8 +208,7 @@ impl TeamBatch {
             self.sizes.push(members.len() as f32);
             let others = other..agents + *other_end as usize;
             for _ in members.clone() {
-                members.clone().chain(others.clone()).for_each(|row| visible.push(row));
-                visible.end_list();
+                visible.push_parts(members.clone().chain(others.clone()), std::iter::empty());
             }
             (agent, other) = (members.end, others.end);
         }

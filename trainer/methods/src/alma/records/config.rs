@@ -206,6 +206,14 @@ impl Config {
             self.mixer.width.is_multiple_of(self.mixer.heads),
             "`mixer.width` must be a multiple of `mixer.heads`",
         )?;
+        let (steps, instances) = (self.returns.steps as usize, self.environment.instances);
+        let least = 4 * steps * instances;
+        require(
+            self.replay.capacity > least,
+            &format!(
+                "`replay.capacity` must be more than {least}, four times `returns.steps` for each instance"
+            ),
+        )?;
         self.replay.check("replay")?;
         self.allocator.network.check("allocator.network")?;
         self.allocator.replay.check("allocator.replay")

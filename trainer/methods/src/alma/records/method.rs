@@ -13,7 +13,7 @@ use sortie_learn::run::{Level, Rates, Reports, UpdateReport};
 use sortie_learn::subtasks::{
     Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, RuleAllocator, Subtasks,
 };
-use sortie_learn::trajectory::{Capacity, Widths};
+use sortie_learn::trajectory::{Capacity, Place, Widths};
 use sortie_learn::{
     Act, LearnError, Learner, Method, Now, Scenes, State, Trajectories, Transition,
 };
@@ -54,6 +54,7 @@ pub struct Records {
     decisions: u64,
     /// Whether the allocator learns from the steps that are being taken.
     keeps_segments: bool,
+    samples: Vec<(Place, u8)>,
     drawn: Vec<Drawn>,
 }
 
@@ -117,6 +118,7 @@ impl Records {
             due: Due::default(),
             decisions: 0,
             keeps_segments: false,
+            samples: Vec::new(),
             drawn: Vec::new(),
             spec: spec.clone(),
             config: config.clone(),
@@ -129,15 +131,17 @@ impl Records {
         environment: &dyn Environment,
         learning_rate: f32,
     ) -> Option<UpdateReport> {
-        let Self { config, networks, agents, replay, random, drawn, .. } = self;
+        let Self { config, networks, agents, replay, random, samples, drawn, .. } = self;
         if !replay.has(config.replay.warm_up) {
             return None;
         }
         let turns = if config.replay.symmetries { environment.spec().turns } else { 1 };
+        replay.draw(config.replay.batch, random, samples);
         drawn.clear();
-        drawn.extend((0..config.replay.batch).filter_map(|_| {
-            let sample = replay.draw(random)?;
-            Some(Drawn { sample, turn: below(random, turns), marks: random.next_u64() })
+        drawn.extend(samples.iter().map(|sample| Drawn {
+            sample: *sample,
+            turn: below(random, turns),
+            marks: random.next_u64(),
         }));
         let experience = Experience { environment, replay };
         let shards = drawn.len().div_ceil(SAMPLES);

@@ -104,8 +104,8 @@ pub struct Replay {
     samples: Vec<usize>,
 }
 
-/// How often a state without samples may be drawn before there seem to be none.
-const TRIES: usize = 1_000;
+/// How often what is missing is drawn again before there seems to be none.
+const ROUNDS: usize = 1_000;
 
 impl Replay {
     /// Room for what a configuration wants to keep of an environment.
@@ -196,27 +196,33 @@ impl Replay {
         (worked, rewards)
     }
 
-    /// Draws a sample, each as likely as any other: its state and its subtask.
-    pub fn draw(&self, random: &mut Random) -> Option<(Place, u8)> {
-        (0..TRIES).find_map(|_| {
-            let place = self.steps.draw(self.returns.steps as usize, random);
-            let task = below(random, self.tasks);
-            (self.steps.note(place).samples >> task & 1 == 1).then_some((place, task as u8))
-        })
+    /// Draws so many samples, each as likely as any other: states and a subtask in each. There are fewer where there seem
+    /// to be none.
+    pub fn draw(&self, count: usize, random: &mut Random, drawn: &mut Vec<(Place, u8)>) {
+        let steps = self.returns.steps as usize;
+        drawn.clear();
+        for _ in 0..ROUNDS {
+            let found = drawn.len();
+            let any = |_| (self.steps.draw_any(steps, random), below(random, self.tasks) as u8);
+            drawn.extend((found..count).map(any));
+            // Looked at one behind the other without a question, all are on their way from memory at the same time.
+            let note = |place| self.steps.note(place).samples;
+            let read = drawn[found..].iter().fold(0, |sum, (place, _)| sum ^ note(*place));
+            std::hint::black_box(read);
+            drawn.retain(|(place, task)| note(*place) >> task & 1 == 1);
+            if drawn.len() == count {
+                break;
+            }
+        }
     }
 
-    /// Reads a little of each of these samples, so that all are on their way from memory at the same time.
-    pub fn fetch(&self, samples: impl Iterator<Item = (Place, u8)>) {
-        const CACHE_LINE: usize = 64;
-        let steps = self.returns.steps as usize;
-        let read = samples.fold(0.0, |sum, (place, _)| {
-            let bytes = [place, place.after(steps)].map(|place| self.steps.state(place));
-            let bytes = bytes.into_iter().flat_map(|bytes| bytes.iter().step_by(CACHE_LINE));
-            let byte = bytes.fold(0, |sum, byte| sum ^ byte);
-            sum + self.steps.rewards(place).team + f32::from(byte)
-        });
-        // What was read is not needed, which the compiler must not know.
-        std::hint::black_box(read);
+    /// Reads a little of each of these samples, for the same reason.
+    pub fn fetch(&self, samples: impl Iterator<Item = (Place, u8)> + Clone) {
+        let ahead = self.returns.steps as usize;
+        let next = |place: Place| self.steps.note(place.after(ahead)).samples;
+        std::hint::black_box(samples.clone().fold(0, |sum, (place, _)| sum ^ next(place)));
+        let both = |place: Place| self.steps.fetch(place) ^ self.steps.fetch(place.after(ahead));
+        std::hint::black_box(samples.fold(0, |sum, (place, _)| sum ^ both(place)));
     }
 
     /// A sample that was drawn.

@@ -4,7 +4,7 @@ use sortie_nn::gradient_check::assert_gradient;
 
 use super::*;
 use crate::alma::records::Records;
-use crate::alma::records::tests::{city, gradient, played, usual};
+use crate::alma::records::tests::{city, gradient, played, samples, usual};
 
 /// Few samples, so that finite differences cross few kinks.
 const BATCH: usize = 16;
@@ -24,13 +24,12 @@ fn config(subtask: Conditioning, kind: MixerKind) -> Config {
 /// A method that has seen something, with samples of it, one of which ends.
 fn seen(config: &Config) -> (Records, Vec<Drawn>) {
     let method = played(config.clone(), 60);
-    let mut random = generator(2);
-    let mut draw =
-        |turn| Drawn { sample: method.replay.draw(&mut random).unwrap(), turn, marks: turn as u64 };
-    let mut drawn: Vec<Drawn> = (0..BATCH).map(|number| draw(number % 8)).collect();
+    let draw = |(number, sample)| Drawn { sample, turn: number % 8, marks: number as u64 };
+    let many = samples(&method, 3000).into_iter().enumerate().map(draw);
+    let mut drawn: Vec<Drawn> = many.clone().take(BATCH).collect();
     let ends = |drawn: &Drawn| method.replay.sample(drawn.sample).discount == 0.0;
     // Few end without subtasks.
-    let ended = (0..3000).map(|_| draw(3)).find(ends);
+    let ended = many.clone().find(ends);
     drawn[0] = ended.unwrap_or(drawn[0]);
     assert!(!drawn.iter().all(ends));
     (method, drawn)

@@ -73,6 +73,11 @@ impl World {
         self.last_actions.iter_mut().zip(actions).for_each(|(last, action)| *last = action as u8);
     }
 
+    /// Two steps that earn nothing, so that those before them have been followed by some.
+    fn go_on(&mut self) {
+        (0..2).for_each(|_| self.step([0.0; 2], nothing));
+    }
+
     fn end(&mut self, timed_out: bool) {
         let step = Step { timed_out, terminated: !timed_out, ..Step::default() };
         self.leave([0.0; 2], step, nothing);
@@ -119,9 +124,8 @@ fn a_sample_sums_three_steps_and_bootstraps() {
 fn another_team_ends_a_sample_which_bootstraps_with_the_old_team() {
     let mut world = World::new(0.0, [0, 1]);
     world.step([1.0, 3.0], |world| world.allocation[..2].copy_from_slice(&[0, 0]));
-    world.step([1.0, 3.0], nothing);
-    world.step([1.0, 3.0], nothing);
-    world.step([1.0, 3.0], nothing);
+    (0..3).for_each(|_| world.step([1.0, 3.0], nothing));
+    world.go_on();
     // Both sites have another team: the first gained an agent, the second lost its only one.
     assert_eq!(world.found(0, 0), (1.0, 0.5, 1, 1));
     assert_eq!(world.found(0, 1), (3.0, 0.5, 1, 1));
@@ -133,10 +137,10 @@ fn a_closed_site_ends_its_samples_without_bootstrapping() {
     let mut world = World::new(0.0, [0, 1]);
     world.step([1.0, 0.0], nothing);
     world.step([8.0, 0.0], |world| world.street.sites[0].1 = false);
+    world.step([5.0, 0.0], nothing);
     assert_eq!(world.found(0, 0).0, 1.0 + 4.0);
     assert_eq!((world.found(0, 0).1, world.found(1, 0).1), (0.0, 0.0));
     // A site without open work is no sample.
-    world.step([5.0, 0.0], nothing);
     assert_eq!([0, 1, 2].map(|step| world.samples(step)), [0b11, 0b11, 0b10]);
 }
 
@@ -174,6 +178,7 @@ fn shaping_adds_the_difference_of_potentials() {
     }
     let mut world = World::with(Conditioning::Mask, (1, 0.5), [0, 0]);
     world.step([1.0, 0.0], |world| world.street.sites[0].1 = false);
+    world.go_on();
     assert_eq!(world.found(0, 0).0, 1.0 + 3.0, "no later potential at the end");
     let mut world = World::with(Conditioning::Mask, (1, 0.5), [0, 0]);
     world.end(false);
@@ -210,6 +215,7 @@ fn without_subtasks_the_nearest_open_site_shapes() {
         world.street.agents[0] += 1;
         world.street.sites[0].1 = false;
     });
+    world.go_on();
     let want = 10.0 + 0.5 * -(0.5 * 7.0 + 0.5 * 8.0) + 3.0;
     assert_eq!(world.found(0, 0), (want, 0.5, 2, 1));
 }
@@ -223,11 +229,14 @@ fn every_sample_is_drawn_as_often_and_the_oldest_are_forgotten() {
     }
     let Replay { samples, steps, .. } = &world.replay;
     assert!((99..=100).contains(&samples[0]) && world.replay.has(99) && !world.replay.has(101));
-    assert_eq!(steps.states(), 66, "one and a half a state");
+    assert!((66..=67).contains(&steps.states()), "one and a half a state");
     let mut random = generator(1);
     let mut drawn = std::collections::BTreeMap::<_, i32>::new();
-    for _ in 0..10_000 {
-        *drawn.entry(world.replay.draw(&mut random).unwrap()).or_default() += 1;
+    let mut some = Vec::new();
+    for _ in 0..100 {
+        world.replay.draw(100, &mut random, &mut some);
+        assert_eq!(some.len(), 100);
+        some.iter().for_each(|sample| *drawn.entry(*sample).or_default() += 1);
     }
     // Three states have not been followed by as many yet.
     assert!((92..=96).contains(&drawn.len()), "{}", drawn.len());
@@ -239,5 +248,7 @@ fn every_sample_is_drawn_as_often_and_the_oldest_are_forgotten() {
 fn where_nobody_has_a_subtask_nothing_is_drawn() {
     let mut world = World::new(0.0, [UNASSIGNED; 2]);
     (0..20).for_each(|_| world.step([1.0; 2], nothing));
-    assert!(!world.replay.has(1) && world.replay.draw(&mut generator(1)).is_none());
+    let mut drawn = Vec::new();
+    world.replay.draw(5, &mut generator(1), &mut drawn);
+    assert!(!world.replay.has(1) && drawn.is_empty());
 }

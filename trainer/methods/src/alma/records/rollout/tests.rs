@@ -6,7 +6,7 @@ use sortie_nn::tape::Parameters;
 
 use super::*;
 use crate::alma::records::Records;
-use crate::alma::records::tests::{begin, city, play, played, usual};
+use crate::alma::records::tests::{begin, city, play, played, samples, usual};
 
 fn config(episode_limit: i64) -> Config {
     let mut config = usual();
@@ -31,12 +31,12 @@ fn segments_join_decisions_of_one_episode() {
     let mut random = sortie_envs::random::generator(1);
     for _ in 0..500 {
         let place = segments.draw(1, &mut random);
-        let [now, next] =
-            [place, place.after(1)].map(|place| Moment::read(segments.state(place), agents));
         if segments.end(place) != sortie_learn::trajectory::End::Open {
             ends += 1;
             continue;
         }
+        let [now, next] =
+            [place, place.after(1)].map(|place| Moment::read(segments.state(place), agents));
         let (before, after) = (seen(now), seen(next));
         // The first feature of an agent that is not zero is its kind.
         let kinds = |seen: &Observation| {
@@ -61,9 +61,9 @@ fn records_reach_to_the_state_in_which_time_ran_out() {
         environment.load(0, state).unwrap();
         environment.episode(0).steps
     };
-    let (mut random, mut last) = (sortie_envs::random::generator(1), [0; 2]);
-    for _ in 0..300 {
-        let sample = method.replay.sample(method.replay.draw(&mut random).unwrap());
+    let mut last = [0; 2];
+    for drawn in samples(&method, 300) {
+        let sample = method.replay.sample(drawn);
         let [now, next] = [sample.now, sample.next].map(|moment| steps(moment.state));
         assert_eq!(now == 0, sample.now.last_actions[0] == NO_ACTION);
         if sample.discount > 0.0 {

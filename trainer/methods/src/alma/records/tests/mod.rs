@@ -8,6 +8,7 @@ use sortie_learn::learner::{Learner, Loss, Rules, Shard};
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
+use sortie_learn::trajectory::Place;
 use sortie_learn::{Method, Now};
 use sortie_nn::tape::Parameters;
 
@@ -54,6 +55,14 @@ pub(super) fn played(mut config: Config, steps: u64) -> Records {
     let mut begun = begin(&config);
     play(&mut begun, 0..steps);
     begun.1
+}
+
+/// Some samples of what a method has seen.
+pub(super) fn samples(method: &Records, count: usize) -> Vec<(Place, u8)> {
+    let mut drawn = Vec::new();
+    method.replay.draw(count, &mut sortie_envs::random::generator(2), &mut drawn);
+    assert_eq!(drawn.len(), count);
+    drawn
 }
 
 /// A loss by these weights, and its gradient.

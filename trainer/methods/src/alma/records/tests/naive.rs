@@ -10,7 +10,7 @@ use sortie_envs::save_the_city::{
     with_city, write_agent_row, write_building_row,
 };
 
-use super::{city, gradient, played, usual};
+use super::{city, gradient, played, samples, usual};
 use crate::alma::agents::{Conditioning, NO_ACTION, UtilityNetwork, transpose};
 use crate::alma::records::lesson::{Drawn, Experience, Networks};
 use crate::alma::records::replay::Moment;
@@ -239,10 +239,9 @@ fn the_loss_of_every_record_is_that_of_the_rules() {
             UtilityNetwork::from_parameters(networks.shape, parameters.to_vec()).unwrap()
         };
         let experience = Experience { environment: &*city, replay: &method.replay };
-        let (mut random, mut ended) = (generator(3), 0);
-        for number in 0..100 {
+        let mut ended = 0;
+        for (number, sample) in samples(&method, 100).into_iter().enumerate() {
             let symmetry = number % 8;
-            let sample = method.replay.draw(&mut random).unwrap();
             let drawn = Drawn { sample, turn: symmetry, marks: 0 };
             let losses = |drawn: &[Drawn], of| {
                 let weights = [&online.values[..], &target.values];
