@@ -352,10 +352,13 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
 
     /// Reads a little of all that is kept of a state, so that it is on its way from memory.
     pub fn fetch(&self, place: Place) -> u8 {
-        let (state, actions) = (self.state(place), self.actions(place));
-        let ends = [state.first(), state.last()].map(|byte| byte.copied().unwrap_or(0));
-        let action = actions.first().copied().unwrap_or(0);
-        ends[0] ^ ends[1] ^ action as u8 ^ self.rewards(place).team.to_bits() as u8
+        const CACHE_LINE: usize = 64;
+        let (state, action) = (self.state(place), self.actions(place).first());
+        let last = state.len().saturating_sub(1);
+        // Always as many: a loop of another length for each state would wait for the first of them.
+        let bytes = (0..8).map(|line| state.get((line * CACHE_LINE).min(last)));
+        let bytes = bytes.fold(0, |sum, byte| sum ^ byte.copied().unwrap_or(0));
+        bytes ^ action.copied().unwrap_or(0) as u8 ^ self.rewards(place).team.to_bits() as u8
     }
 
     /// What followed a state within so many steps or until its episode ended.

@@ -127,8 +127,10 @@ impl TeamBatch {
                 _ => continue,
             };
             rows.push_row(&seen.rows, row);
-            if entity < seen.observable.len() && last_action(entity) != NO_ACTION {
-                rows.push(self.columns.features + usize::from(last_action(entity)), 1.0);
+            let is_agent = entity < seen.observable.len();
+            let last_action = if is_agent { last_action(entity) } else { NO_ACTION };
+            if last_action != NO_ACTION {
+                rows.push(self.columns.features + usize::from(last_action), 1.0);
             }
             // A mark, where there are columns for that.
             if self.conditioning == Conditioning::Input && task(entity) != UNASSIGNED {

@@ -10,9 +10,7 @@
 
 use rand_core::SeedableRng;
 use sortie_envs::random::below;
-use sortie_envs::{
-    ActionSet, AgentSet, EntitySet, Environment, Observation, Random, Spec, members,
-};
+use sortie_envs::{ActionSet, EntitySet, Environment, Observation, Random, Spec, members};
 use sortie_learn::learner::{Loss, Shard};
 use sortie_learn::networks::{Hypernetworks, LookShape, Mixer, MixerShape, WeightsSum};
 use sortie_learn::trajectory::Place;
@@ -82,20 +80,6 @@ struct Side {
     batch: TeamBatch,
     /// Each agent's action: the one taken, or the best of the next state.
     actions: Vec<u32>,
-}
-
-/// How a sample is looked at.
-#[derive(Clone, Copy)]
-struct Look<'a> {
-    environment: &'a dyn Environment,
-    turn: usize,
-    /// The agents that earned the reward.
-    team: AgentSet,
-    /// The entities that they see.
-    sight: EntitySet,
-    /// `[A]`: the subtask that each agent has in both states.
-    allocation: &'a [u8],
-    marks: &'a [u8],
 }
 
 impl Networks {
@@ -186,6 +170,7 @@ impl Lesson {
         self.next.batch.finish();
     }
 
+    /// Adds a team in both of its states, with what it sees there.
     fn push(
         &mut self,
         networks: &Networks,
@@ -193,24 +178,35 @@ impl Lesson {
         (sample, turn): (Sample<'_>, usize),
     ) {
         let Self { now, next, marks, seen, .. } = self;
-        let team = sample.now.team(sample.task);
-        let sight = match networks.conditioning {
-            Conditioning::Mask => {
-                environment.observe(sample.now.state, 0, 0, seen);
-                EntitySet::from(team) | seen.things_of(sample.task)
-            }
-            Conditioning::Input | Conditioning::None => EntitySet::MAX,
+        let (team, allocation) = (sample.now.team(sample.task), sample.now.allocation);
+        let own = EntitySet::from(team);
+        // The mask shows the team and all that belongs to its subtask, which is known once all things have been looked at.
+        let is_masked = networks.conditioning == Conditioning::Mask;
+        let hidden = (1 << allocation.len()) - 1 & !own;
+        let wanted = if is_masked { !hidden } else { EntitySet::MAX };
+        let push = |side: &mut Side, moment: Moment<'_>, seen: &Observation, sight| {
+            let last_action = |agent: usize| match moment.last_actions[agent] {
+                NO_ACTION => NO_ACTION,
+                action => environment.turned_action(turn, action.into()) as u8,
+            };
+            let task = |entity: usize| {
+                let agents = allocation.get(entity).copied();
+                let task = agents.unwrap_or_else(|| seen.task_of(entity));
+                marks.get(usize::from(task)).copied().unwrap_or(task)
+            };
+            side.batch.push_team(seen, (team, sight), last_action, task);
         };
-        let allocation = sample.now.allocation;
-        let look = Look { environment, turn, team, sight, allocation, marks };
-        now.push(sample.now, look, seen);
+        environment.observe(sample.now.state, turn, wanted, seen);
+        let sight = if is_masked { own | seen.things_of(sample.task) } else { EntitySet::MAX };
+        push(now, sample.now, seen, sight);
         let taken = |agent: usize| environment.turned_action(turn, sample.actions[agent]);
-        now.actions.extend(members(team.into()).map(|agent| u32::from(taken(agent))));
+        now.actions.extend(members(own).map(|agent| u32::from(taken(agent))));
         self.rewards.push(networks.reward_factor * sample.reward);
         self.discounts.push(sample.discount);
         if sample.discount > 0.0 {
-            next.push(sample.next, look, seen);
-            self.available.extend(members(team.into()).map(|agent| seen.available[agent]));
+            environment.observe(sample.next.state, turn, sight, seen);
+            push(next, sample.next, seen, sight);
+            self.available.extend(members(own).map(|agent| seen.available[agent]));
         }
     }
 }
@@ -231,22 +227,6 @@ impl Side {
     fn clear(&mut self, conditioning: Conditioning, columns: Columns) {
         self.batch.clear_for(conditioning, columns);
         self.actions.clear();
-    }
-
-    /// Adds a team with what it sees in a state, of which `seen` tells then.
-    fn push(&mut self, moment: Moment<'_>, look: Look<'_>, seen: &mut Observation) {
-        let Look { environment, turn, team, sight, allocation, marks } = look;
-        environment.observe(moment.state, turn, sight, seen);
-        let last_action = |agent: usize| match moment.last_actions[agent] {
-            NO_ACTION => NO_ACTION,
-            action => environment.turned_action(turn, action.into()) as u8,
-        };
-        let task = |entity: usize| {
-            let own = entity < allocation.len();
-            let task = if own { allocation[entity] } else { seen.task_of(entity) };
-            marks.get(usize::from(task)).copied().unwrap_or(task)
-        };
-        self.batch.push_team(seen, (team, seen.entities), last_action, task);
     }
 }
 
