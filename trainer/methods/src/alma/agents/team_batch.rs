@@ -185,8 +185,8 @@ impl TeamBatch {
         if self.conditioning != Conditioning::Mask {
             return;
         }
-        for agent in 0..seen.agents() {
-            if usize::from(allocation[agent]) >= seen.tasks() {
+        for (agent, task) in allocation.iter().enumerate().take(seen.agents()) {
+            if usize::from(*task) >= seen.tasks() {
                 self.push_team(seen, (1 << agent, 0), |agent| last_actions[agent], |_| UNASSIGNED);
                 self.ends.pop();
                 added(agent);

@@ -182,7 +182,7 @@ impl Lesson {
         let own = EntitySet::from(team);
         // The mask shows the team and all that belongs to its subtask, which is known once all things have been looked at.
         let is_masked = networks.conditioning == Conditioning::Mask;
-        let hidden = (1 << allocation.len()) - 1 & !own;
+        let hidden = ((1 << allocation.len()) - 1) & !own;
         let wanted = if is_masked { !hidden } else { EntitySet::MAX };
         let push = |side: &mut Side, moment: Moment<'_>, seen: &Observation, sight| {
             let last_action = |agent: usize| match moment.last_actions[agent] {
