@@ -350,15 +350,15 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
         }
     }
 
-    /// Reads a little of all that is kept of a state, so that it is on its way from memory.
+    /// Reads a little of a state and of what was earned in it, so that both are on their way from memory.
     pub fn fetch(&self, place: Place) -> u8 {
         const CACHE_LINE: usize = 64;
-        let (state, action) = (self.state(place), self.actions(place).first());
+        let state = self.state(place);
         let last = state.len().saturating_sub(1);
         // Always as many: a loop of another length for each state would wait for the first of them.
         let bytes = (0..8).map(|line| state.get((line * CACHE_LINE).min(last)));
         let bytes = bytes.fold(0, |sum, byte| sum ^ byte.copied().unwrap_or(0));
-        bytes ^ action.copied().unwrap_or(0) as u8 ^ self.rewards(place).team.to_bits() as u8
+        bytes ^ self.rewards(place).team.to_bits() as u8
     }
 
     /// What followed a state within so many steps or until its episode ended.

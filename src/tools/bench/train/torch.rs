@@ -179,15 +179,13 @@ impl Dense {
         let (sample, turn) = (replay.sample(drawn.sample), drawn.turn);
         let own = sample.now.team(sample.task);
         let agents: Vec<usize> = members(own.into()).collect();
-        let mut seen = Observation::default();
-        environment.observe(sample.now.state, turn, 0, &mut seen);
-        let things = seen.things_of(sample.task);
+        let things = sample.things;
         let sight = EntitySet::from(own) | things;
         let now = Seen::new(environment, sample.now, turn, sight);
         let next = Seen::new(environment, sample.next, turn, sight);
         for place in 0..team {
             let member = agents.get(place).copied();
-            let action = member.map_or(0, |agent| now.turned(sample.actions[agent]));
+            let action = member.map_or(0, |agent| now.turned(sample.now.actions[agent].into()));
             self.present.push(member.is_some());
             self.actions.push(action.into());
             let available = member.map_or(0, |agent| next.seen.available[agent]);

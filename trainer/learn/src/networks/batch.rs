@@ -7,7 +7,6 @@ use sortie_envs::{ActionSet, EntitySet, Observation, SparseRows, members};
 use sortie_nn::layers::VisibleLists;
 
 use super::BLOCKS;
-use super::mixer::Teams;
 
 /// When a state was, in which of the episodes that go through time side by side.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -29,6 +28,17 @@ pub struct View<'a> {
     pub lists: &'a VisibleLists,
     /// Whether the parts are to be attended to as well.
     pub imagines: bool,
+}
+
+/// Teams, whose agents stand one behind the other.
+#[derive(Clone, Copy, Debug)]
+pub struct Teams<'a> {
+    /// What each agent knows of its state.
+    pub known: View<'a>,
+    /// The team of every agent by its number, of all agents twice where something is imagined.
+    pub numbers: &'a [u32],
+    /// `[teams]`: agents of each.
+    pub sizes: &'a [f32],
 }
 
 /// What aimed actions aim at, of each query those targets that it sees.

@@ -9,7 +9,7 @@ use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::BLOCKS;
 use super::attention::{EntityAttention, LookShape};
-use super::batch::View;
+use super::batch::{Teams, View};
 
 crate::words! {
     /// How the utilities of a team become its value.
@@ -80,17 +80,6 @@ struct Hypernetwork {
     project: Linear,
     /// Whether imagined agents have numbers of their own.
     imagines: bool,
-}
-
-/// Teams, whose agents stand one behind the other.
-#[derive(Clone, Copy, Debug)]
-pub struct Teams<'a> {
-    /// What each agent knows of its state.
-    pub known: View<'a>,
-    /// The team of every agent by its number, of all agents twice where something is imagined.
-    pub numbers: &'a [u32],
-    /// `[teams]`: agents of each.
-    pub sizes: &'a [f32],
 }
 
 /// The values of teams.

@@ -44,8 +44,8 @@ mod mixer;
 
 pub use agent::{AgentShape, EntityAgent, Targets};
 pub use attention::{Attended, EntityAttention, LookShape};
-pub use batch::{EntityBatch, Moment, View};
-pub use mixer::{Hypernetworks, Mixed, Mixer, MixerKind, MixerShape, Teams, WeightsSum};
+pub use batch::{EntityBatch, Moment, Teams, View};
+pub use mixer::{Hypernetworks, Mixed, Mixer, MixerKind, MixerShape, WeightsSum};
 pub use sortie_nn::layers::split_attention::BLOCKS;
 
 #[cfg(test)]

@@ -106,8 +106,9 @@ impl Decisions {
         if let Some(segment) = self.segment.take() {
             self.keep(environment, segment, Step::default(), segments);
         }
-        let last_actions = &vec![NO_ACTION; self.allocation.len()];
-        let decision = Moment { state, allocation: &self.allocation, last_actions }.bytes();
+        let none = &vec![NO_ACTION; self.allocation.len()];
+        let allocation = &self.allocation;
+        let decision = Moment { state, allocation, last_actions: none, actions: none }.bytes();
         let rewards = vec![0.0; environment.spec().shape.tasks];
         self.segment = Some(Segment { decision, rewards, discount: 1.0 });
     }

@@ -180,11 +180,11 @@ impl Lesson {
         let Self { now, next, marks, seen, .. } = self;
         let (team, allocation) = (sample.now.team(sample.task), sample.now.allocation);
         let own = EntitySet::from(team);
-        // The mask shows the team and all that belongs to its subtask, which is known once all things have been looked at.
-        let is_masked = networks.conditioning == Conditioning::Mask;
-        let hidden = ((1 << allocation.len()) - 1) & !own;
-        let wanted = if is_masked { !hidden } else { EntitySet::MAX };
-        let push = |side: &mut Side, moment: Moment<'_>, seen: &Observation, sight| {
+        let sight = match networks.conditioning {
+            Conditioning::Mask => own | sample.things,
+            Conditioning::Input | Conditioning::None => EntitySet::MAX,
+        };
+        let push = |side: &mut Side, moment: Moment<'_>, seen: &Observation| {
             let last_action = |agent: usize| match moment.last_actions[agent] {
                 NO_ACTION => NO_ACTION,
                 action => environment.turned_action(turn, action.into()) as u8,
@@ -196,16 +196,16 @@ impl Lesson {
             };
             side.batch.push_team(seen, (team, sight), last_action, task);
         };
-        environment.observe(sample.now.state, turn, wanted, seen);
-        let sight = if is_masked { own | seen.things_of(sample.task) } else { EntitySet::MAX };
-        push(now, sample.now, seen, sight);
-        let taken = |agent: usize| environment.turned_action(turn, sample.actions[agent]);
+        environment.observe(sample.now.state, turn, sight, seen);
+        push(now, sample.now, seen);
+        let taken =
+            |agent: usize| environment.turned_action(turn, sample.now.actions[agent].into());
         now.actions.extend(members(own).map(|agent| u32::from(taken(agent))));
         self.rewards.push(networks.reward_factor * sample.reward);
         self.discounts.push(sample.discount);
         if sample.discount > 0.0 {
             environment.observe(sample.next.state, turn, sight, seen);
-            push(next, sample.next, seen, sight);
+            push(next, sample.next, seen);
             self.available.extend(members(own).map(|agent| seen.available[agent]));
         }
     }

@@ -9,14 +9,14 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::random::below;
-use sortie_envs::{AgentSet, Observation, Random, Spec, members};
+use sortie_envs::{AgentSet, EntitySet, Observation, Random, Spec, members};
 use sortie_learn::trajectory::{Capacity, End, Future, Place, Widths};
 use sortie_learn::{LearnError, State, Trajectories, Transition};
 
 use super::config::{Config, ReturnsConfig};
 use crate::alma::agents::Conditioning;
 
-/// A state, with what each agent slot `[A]` was allocated to in it and had done before.
+/// A state, with what each agent slot `[A]` was allocated to in it, had done before and did.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment<'a> {
     /// The state.
@@ -25,19 +25,22 @@ pub struct Moment<'a> {
     pub allocation: &'a [u8],
     /// What every agent had done before.
     pub last_actions: &'a [u8],
+    /// What every agent did.
+    pub actions: &'a [u8],
 }
 
 impl<'a> Moment<'a> {
-    /// As trajectories keep it: the state, and behind it two bytes for each agent.
+    /// As trajectories keep it: the state, and behind it three bytes for each agent.
     pub fn bytes(self) -> Vec<u8> {
-        [self.state, self.allocation, self.last_actions].concat()
+        [self.state, self.allocation, self.last_actions, self.actions].concat()
     }
 
     /// What was kept so, of so many agents.
     pub fn read(bytes: &'a [u8], agents: usize) -> Self {
+        let (bytes, actions) = bytes.split_at(bytes.len() - agents);
         let (bytes, last_actions) = bytes.split_at(bytes.len() - agents);
         let (state, allocation) = bytes.split_at(bytes.len() - agents);
-        Self { state, allocation, last_actions }
+        Self { state, allocation, last_actions, actions }
     }
 
     /// The agents at a subtask.
@@ -78,10 +81,10 @@ pub struct Taken<'a> {
 pub struct Sample<'a> {
     /// The team's subtask.
     pub task: usize,
+    /// The subtask's things.
+    pub things: EntitySet,
     /// When it acted.
     pub now: Moment<'a>,
-    /// `[A]`: what was done.
-    pub actions: &'a [u16],
     /// The discounted rewards until the next moment.
     pub reward: f32,
     /// What the value of the same team there counts; 0 where there is nothing to come.
@@ -104,6 +107,9 @@ pub struct Replay {
     samples: Vec<usize>,
 }
 
+/// Bytes of a set of entities.
+const SET: usize = size_of::<EntitySet>();
+
 /// How often what is missing is drawn again before there seems to be none.
 const ROUNDS: usize = 1_000;
 
@@ -113,7 +119,7 @@ impl Replay {
         let (conditioning, instances) = (config.network.subtask, config.environment.instances);
         let (agents, most) = (spec.shape.agents, config.replay.capacity / instances);
         let tasks = if conditioning.has_subtasks() { spec.shape.tasks } else { 1 };
-        let widths = Widths { agents, tasks, ..Widths::default() };
+        let widths = Widths { tasks, ..Widths::default() };
         Self {
             conditioning,
             returns: config.returns.clone(),
@@ -148,13 +154,13 @@ impl Replay {
             Moment { allocation: &everybody, ..moment }
         };
         let (worked, rewards) = self.worked(Taken { moment, ..taken });
-        let state = moment.bytes();
-        let next = if transition.step.done() {
-            let did: Vec<u8> = transition.actions.iter().map(|action| *action as u8).collect();
-            Moment { state: transition.next, last_actions: &did, ..moment }.bytes()
-        } else {
-            Vec::new()
-        };
+        let mut state = moment.bytes();
+        for task in members(worked.samples.into()) {
+            state.extend(taken.seen.things_of(task).to_le_bytes());
+        }
+        let Moment { actions, .. } = moment;
+        let last = Moment { state: transition.next, last_actions: actions, ..moment };
+        let next = if transition.step.done() { last.bytes() } else { Vec::new() };
         let kept = Transition { state: &state, task_rewards: &rewards, next: &next, ..*transition };
         self.steps.push_noted(&kept, worked);
         let samples = &mut self.samples[transition.instance];
@@ -229,9 +235,19 @@ impl Replay {
     pub fn sample(&self, (place, task): (Place, u8)) -> Sample<'_> {
         let task = usize::from(task);
         let Future { place: next, reward, discount } = self.future(place, task);
-        let moment = |place| Moment::read(self.steps.state(place), self.agents);
-        let (now, next) = (moment(place), moment(next));
-        Sample { task, now, actions: self.steps.actions(place), reward, discount, next }
+        let ((now, things), (next, _)) = (self.moment(place), self.moment(next));
+        let before = self.steps.note(place).samples & ((1 << task) - 1);
+        let things = things.get(before.count_ones() as usize);
+        let things = things.map_or(0, |bytes| EntitySet::from_le_bytes(*bytes));
+        Sample { task, things, now, reward, discount, next }
+    }
+
+    /// A state, and behind it the things of each subtask that is a sample, as they were pushed.
+    fn moment(&self, place: Place) -> (Moment<'_>, &[[u8; SET]]) {
+        let bytes = self.steps.state(place);
+        let things = SET * self.steps.note(place).samples.count_ones() as usize;
+        let (moment, things) = bytes.split_at(bytes.len() - things);
+        (Moment::read(moment, self.agents), things.as_chunks().0)
     }
 
     fn future(&self, place: Place, task: usize) -> Future {

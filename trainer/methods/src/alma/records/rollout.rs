@@ -159,13 +159,13 @@ impl Rollout {
         let Instance { decisions, last_actions, before, seen } =
             &mut self.instances[transition.instance];
         environment.observe(next, 0, 0, &mut self.seen);
-        let moment = Moment { state, allocation: &decisions.allocation, last_actions };
+        let did: Vec<u8> = actions.iter().map(|action| *action as u8).collect();
+        let allocation = &decisions.allocation;
+        let moment = Moment { state, allocation, last_actions, actions: &did };
         let open_then = self.seen.open_tasks;
         replay.push(Taken { transition, seen, open_then, moment, before });
         before.clone_from(&decisions.allocation);
-        for (last, action) in last_actions.iter_mut().zip(actions) {
-            *last = *action as u8;
-        }
+        last_actions.copy_from_slice(&did);
         decisions.remember(transition, self.deciding.discount(), segments);
     }
 

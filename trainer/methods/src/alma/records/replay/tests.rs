@@ -66,7 +66,12 @@ impl World {
             transition: &transition,
             seen: &seen,
             open_then: self.street.seen().open_tasks,
-            moment: Moment { state: &state, allocation: &allocation, last_actions: &last_actions },
+            moment: Moment {
+                state: &state,
+                allocation: &allocation,
+                last_actions: &last_actions,
+                actions: &actions.map(|action| action as u8),
+            },
             before: &self.before,
         });
         self.before = allocation;
@@ -114,8 +119,9 @@ fn a_sample_sums_three_steps_and_bootstraps() {
     }
     assert_eq!(world.samples(0), 0b1, "the other site has no team");
     assert_eq!(world.found(0, 0), (1.0 + 1.0 + 1.0, 0.125, 2, 3));
-    let Sample { now, actions, next, .. } = world.sample(0, 0);
-    assert_eq!((now.state[1], next.state[1], &actions[..2]), (7, 10, &[1, 2][..]));
+    let Sample { now, things, next, .. } = world.sample(0, 0);
+    assert_eq!((now.state[1], next.state[1], &now.actions[..2]), (7, 10, &[1, 2][..]));
+    assert_eq!(things, 1 << AGENTS);
     assert_eq!((now.last_actions[0], next.last_actions[..2].to_vec()), (NO_ACTION, vec![1, 2]));
     assert_eq!(now.allocation, world.allocation);
 }
@@ -129,6 +135,7 @@ fn another_team_ends_a_sample_which_bootstraps_with_the_old_team() {
     // Both sites have another team: the first gained an agent, the second lost its only one.
     assert_eq!(world.found(0, 0), (1.0, 0.5, 1, 1));
     assert_eq!(world.found(0, 1), (3.0, 0.5, 1, 1));
+    assert_eq!([0, 1].map(|task| world.sample(0, task).things), [1 << AGENTS, 2 << AGENTS]);
     assert_eq!(world.found(1, 0), (1.75, 0.125, 2, 3), "the same team goes on");
 }
 

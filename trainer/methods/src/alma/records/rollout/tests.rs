@@ -69,8 +69,7 @@ fn records_reach_to_the_state_in_which_time_ran_out() {
         if sample.discount > 0.0 {
             assert!((1..=3).contains(&(next - now)), "from step {now} to step {next}");
             if next == now + 1 {
-                let taken = sample.actions.iter().map(|action| *action as u8);
-                assert!(sample.next.last_actions.iter().zip(taken).all(|(last, a)| *last == a));
+                assert_eq!(sample.next.last_actions, sample.now.actions);
             }
             last[usize::from(next == 5)] += 1;
         }

@@ -234,7 +234,13 @@ fn segments() -> Segments {
         let none = [UNASSIGNED; 3];
         let decision = |street: &Street, tasks: [u8; 5]| {
             let allocation = &[&tasks[..], &none].concat();
-            Moment { state: &street.bytes(), allocation, last_actions: &[0; AGENTS] }.bytes()
+            Moment {
+                state: &street.bytes(),
+                allocation,
+                last_actions: &[0; AGENTS],
+                actions: &[0; AGENTS],
+            }
+            .bytes()
         };
         let now = decision(&street, [number % 3, 1, 2, 0, 1]);
         street.sites[0].1 = number % 2 == 1;
@@ -324,7 +330,12 @@ fn segments_that_ran_out_of_time_are_not_drawn() {
     let widths = Widths { tasks: 4, ..Widths::default() };
     let mut segments = Segments::noting(Capacity::States(200), 1, widths);
     let state = Street::new(5, &[3, 4]).bytes();
-    let state = Moment { state: &state, allocation: &[0; AGENTS], last_actions: &[0; AGENTS] };
+    let state = Moment {
+        state: &state,
+        allocation: &[0; AGENTS],
+        last_actions: &[0; AGENTS],
+        actions: &[0; AGENTS],
+    };
     for number in 0..20 {
         let transition = Transition {
             environment: &toy(),

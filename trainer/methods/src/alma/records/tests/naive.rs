@@ -210,7 +210,7 @@ fn squared_error(
     let mut value = 0.0;
     let mut wanted = f64::from(sample.reward);
     for agent in &team {
-        let action = map.action(sample.actions[*agent] as u8);
+        let action = map.action(sample.now.actions[*agent]);
         value += outputs(online, &now.agents[*agent].0, &seen_now)[usize::from(action)];
         let (row, available) = &next.agents[*agent];
         let liked = outputs(online, row, &seen_next);
