@@ -245,7 +245,7 @@ pub(super) fn write(learning: &mut Learning, path: &Path) -> Result<Expected, Fa
     let mut tensors = Tensors::default();
     let mut expected = Expected { loss: f64::NAN, gradient_norm: f64::NAN };
     for number in 0..BATCHES {
-        let Learning { method, environment, .. } = &mut *learning;
+        let Learning { config, method, environment, .. } = &mut *learning;
         let before = [method.agents.online.values.clone(), method.agents.target.clone()];
         // A step of no length moves nothing but targets and means, a little; the gradient stands there.
         let found = method
@@ -261,7 +261,7 @@ pub(super) fn write(learning: &mut Learning, path: &Path) -> Result<Expected, Fa
         if number == 0 {
             let norm = f64::from(found.gradient_norm);
             expected = Expected { loss: found.loss, gradient_norm: norm };
-            let shape = learning.config.network.shape(environment.spec());
+            let shape = config.network.shape(environment.spec());
             let slopes = unclipped(method.agents.gradient(), found.gradient_norm);
             let networks = [("online", &before[0]), ("target", &before[1]), ("gradient", &slopes)];
             for (of, parameters) in networks {
