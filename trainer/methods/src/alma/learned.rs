@@ -5,13 +5,13 @@ use std::path::Path;
 use sortie_bundle::TRAINING;
 use sortie_envs::Spec;
 use sortie_learn::LearnError;
+use sortie_learn::configuration::OptimiserConfig;
 use sortie_learn::run::RunFolder;
 use sortie_learn::run::checkpoint::{Checkpoint, OpenFor};
 use sortie_nn::layers::gru::lengths;
 
 use super::Config;
 use super::agents::{UtilityNetwork, UtilityShape};
-use super::records::config::measured;
 
 /// What another run has learned, by whichever preset.
 #[derive(Clone, Debug)]
@@ -63,6 +63,11 @@ impl Learned {
             }
         }
     }
+}
+
+/// What checkpoints call the weights that are measured: those that are averaged, where any are.
+pub(crate) fn measured(optimiser: &OptimiserConfig) -> &'static str {
+    if optimiser.average_rate < 1.0 { "average" } else { "online" }
 }
 
 /// A network by its name in the checkpoint.

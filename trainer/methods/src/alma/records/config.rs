@@ -220,11 +220,6 @@ impl Config {
     }
 }
 
-/// What checkpoints call the weights that are measured: those that are averaged, where any are.
-pub(crate) fn measured(optimiser: &OptimiserConfig) -> &'static str {
-    if optimiser.average_rate < 1.0 { "average" } else { "online" }
-}
-
 /// The name of the allocator that a run learns.
 pub(crate) const LEARNED: &str = "learned";
 

@@ -18,7 +18,7 @@ use sortie_learn::{
     Act, LearnError, Learner, Method, Now, Scenes, State, Trajectories, Transition,
 };
 
-use super::config::{AllocatorConfig, Config, LEARNED, OptimiserConfig, measured};
+use super::config::{AllocatorConfig, Config, LEARNED, OptimiserConfig};
 use super::lesson::{Drawn, Experience, Lesson, Networks, SAMPLES};
 use super::replay::Replay;
 use super::rollout::{Behaviour, Rollout};
@@ -27,7 +27,7 @@ use super::team_value::{
 };
 use crate::alma::agents::{UtilityShape, UtilityView};
 use crate::alma::export;
-use crate::alma::learned::Learned;
+use crate::alma::learned::{Learned, measured};
 use crate::alma::teams::{Agents, NetworkAgents};
 
 /// Tells the allocator's streams of random numbers from the agents'.
