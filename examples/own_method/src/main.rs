@@ -30,7 +30,7 @@ struct Independent {
 impl Independent {
     fn new(environment: &dyn Environment) -> Self {
         let (shape, mut random) = (environment.spec().shape, generator(1));
-        let looking = LookShape { input: shape.features, active_inputs: 3, width: 32 };
+        let looking = LookShape { input: shape.features, active_inputs: 3, width: 32, heads: 4 };
         let targets = Targets::of(environment.spec());
         let agent = AgentShape { looking, actions: shape.actions, skip: true, memory: 0, targets };
         let mut parameters = Parameters::default();

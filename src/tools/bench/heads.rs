@@ -93,7 +93,7 @@ pub(super) fn measure(arguments: &HeadsArguments) -> Result<Figures, Failure> {
 
 /// An agent of random weights in a profile.
 fn plan(width: usize, targets: Targets, profile: Profile) -> Result<AlignedBytes, Failure> {
-    let looking = LookShape { input: FEATURES, active_inputs: FEATURES, width };
+    let looking = LookShape { input: FEATURES, active_inputs: FEATURES, width, heads: 4 };
     let shape = AgentShape { looking, actions: ACTIONS, skip: true, memory: 0, targets };
     let mut parameters = Parameters::default();
     let agent = EntityAgent::new(&mut parameters, shape, &mut stream(1, 1, 0));

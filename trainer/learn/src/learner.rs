@@ -76,13 +76,23 @@ pub struct Rules {
     pub target_rate: f32,
     /// How far the averaged weights move in every update.
     pub average_rate: f32,
+    /// Whether they begin as a plain mean, so that the first weights do not linger.
+    pub mean_first: bool,
 }
 
 impl From<&OptimiserConfig> for Rules {
     fn from(config: &OptimiserConfig) -> Self {
         let OptimiserConfig { epsilon, clip, target_rate, average_rate, .. } = *config;
         let adam = AdamRules { epsilon, ..AdamRules::default() };
-        Self { rule: Rule::Adam, adam, clip, target_every: 1, target_rate, average_rate }
+        Self {
+            rule: Rule::Adam,
+            adam,
+            clip,
+            target_every: 1,
+            target_rate,
+            average_rate,
+            mean_first: false,
+        }
     }
 }
 
@@ -148,6 +158,14 @@ impl Loss {
     pub fn of(pass: &mut Pass<'_>, loss: impl FnOnce(&mut Pass<'_>) -> Var) -> Self {
         let total = loss(pass);
         Self { total, reported: pass.values(total)[0].into() }
+    }
+
+    /// The part that some values have in the mean squared difference of so many to their targets.
+    pub fn mean_square(pass: &mut Pass<'_>, values: Var, targets: &[f32], count: usize) -> Self {
+        let pairs = pass.values(values).iter().zip(targets);
+        let squares: f64 = pairs.map(|(value, y)| f64::from((value - y) * (value - y))).sum();
+        let total = pass.squared_error(values, targets, 1.0 / count as f32);
+        Self { total, reported: squares / count as f64 }
     }
 }
 
@@ -229,7 +247,8 @@ impl<S: Default + Send> Learner<S> {
         if updates.is_multiple_of(rules.target_every) {
             come_nearer(target, &online.values, rules.target_rate);
         }
-        come_nearer(average, &online.values, rules.average_rate);
+        let least = if rules.mean_first { 1.0 / *updates as f32 } else { 0.0 };
+        come_nearer(average, &online.values, rules.average_rate.max(least));
         UpdateReport { loss: first.reported, gradient_norm }
     }
 
@@ -483,6 +502,23 @@ mod tests {
             assert_eq!(*own, average);
         }
         assert_eq!(learner.0.updates(), 4);
+    }
+
+    #[test]
+    fn averaged_weights_may_begin_as_a_plain_mean() {
+        let rules = Rules { average_rate: 0.25, mean_first: true, ..Rules::default() };
+        let mut learner = learner(rules, 1);
+        let mut all = Vec::new();
+        for number in 1..=5 {
+            let before = learner.0.average.clone();
+            update(&mut learner, ROWS);
+            let Learner { online, average, .. } = &learner.0;
+            all.push(online.values[7]);
+            let mean = all.iter().sum::<f32>() / number as f32;
+            let moved = before[7] + 0.25 * (online.values[7] - before[7]);
+            let want = if number > 4 { moved } else { mean };
+            assert!((average[7] - want).abs() < 1e-6, "{number}");
+        }
     }
 
     #[test]

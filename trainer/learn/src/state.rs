@@ -127,6 +127,11 @@ impl<'a> State<'a> {
         State::read(checkpoint, &checkpoint.state()?).value(name, value)
     }
 
+    /// Whether this visit wants what was learned and nothing else.
+    pub fn wants_weights(&self) -> bool {
+        matches!(self.0, Visit::Weights(_))
+    }
+
     /// Whether this visit changes what it visits.
     pub fn is_reading(&self) -> bool {
         !matches!(self.0, Visit::Write(_))

@@ -279,6 +279,22 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
         }
     }
 
+    /// The oldest state of an instance that has not been forgotten, or the one that comes next.
+    pub fn oldest(&self, instance: usize) -> Place {
+        Place { instance: instance as u32, number: self.streams[instance].kept_from }
+    }
+
+    /// How many states are kept, those too that episodes ended in.
+    pub fn states(&self) -> usize {
+        let kept = self.streams.iter().map(|stream| (stream.next - stream.kept_from) as usize);
+        kept.sum()
+    }
+
+    /// Forgets a state and all before it of its instance.
+    pub fn forget(&mut self, place: Place) {
+        self.forget_before(place.instance(), place.number + 1);
+    }
+
     /// Forgets all states of an instance with smaller numbers.
     fn forget_before(&mut self, instance: usize, number: u64) {
         if self.widths.earners > 0 {
@@ -305,32 +321,71 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
         ((f64::from(reward) - mean) / deviation) as f32
     }
 
+    /// Whether there is a state that so many more follow, in which something was done.
+    pub fn can_draw(&self, steps: usize) -> bool {
+        // Of two states behind each other something was done in one.
+        self.streams.iter().any(|stream| (stream.next - stream.kept_from) as usize > steps + 1)
+    }
+
     /// Draws a state that so many more follow, in which something was done. There needs to be one.
     pub fn draw(&self, steps: usize, random: &mut Random) -> Place {
         loop {
-            let instance = below(random, self.streams.len());
-            let stream = &self.streams[instance];
-            let kept = (stream.next - stream.kept_from) as usize;
-            let ahead = below(random, kept.saturating_sub(steps)) as u64;
-            let place = Place { instance: instance as u32, number: stream.kept_from + ahead };
-            if kept > steps && self.end(place) != End::Nothing {
+            let place = self.draw_any(steps, random);
+            if self.end(place) != End::Nothing {
                 return place;
             }
         }
     }
 
+    /// The same of any state, without looking at it.
+    pub fn draw_any(&self, steps: usize, random: &mut Random) -> Place {
+        loop {
+            let instance = below(random, self.streams.len());
+            let stream = &self.streams[instance];
+            let kept = (stream.next - stream.kept_from) as usize;
+            let ahead = below(random, kept.saturating_sub(steps)) as u64;
+            if kept > steps {
+                return Place { instance: instance as u32, number: stream.kept_from + ahead };
+            }
+        }
+    }
+
+    /// Reads a little of a state and of what was earned in it, so that both are on their way from memory.
+    pub fn fetch(&self, place: Place) -> u8 {
+        const CACHE_LINE: usize = 64;
+        let state = self.state(place);
+        let last = state.len().saturating_sub(1);
+        // Always as many: a loop of another length for each state would wait for the first of them.
+        let bytes = (0..8).map(|line| state.get((line * CACHE_LINE).min(last)));
+        let bytes = bytes.fold(0, |sum, byte| sum ^ byte.copied().unwrap_or(0));
+        bytes ^ self.rewards(place).team.to_bits() as u8
+    }
+
     /// What followed a state within so many steps or until its episode ended.
     pub fn future(&self, place: Place, steps: usize, discount: f32) -> Future {
+        let of_team = |place| (self.rewards(place).team, self.end(place));
+        self.future_of(place, steps, discount, of_team, |_| false)
+    }
+
+    /// The same of whom a step earned so much and left so, until a state in which it stops.
+    pub fn future_of(
+        &self,
+        place: Place,
+        steps: usize,
+        discount: f32,
+        earned: impl Fn(Place) -> (f32, End),
+        stops: impl Fn(Place) -> bool,
+    ) -> Future {
         let mut future = Future { place, reward: 0.0, discount: 1.0 };
         for _ in 0..steps {
-            let end = self.end(future.place);
+            let (reward, end) = earned(future.place);
             if end == End::Nothing {
                 return Future { discount: 0.0, ..future };
             }
-            future.reward += future.discount * self.rewards(future.place).team;
+            future.reward += future.discount * reward;
             future.discount *= if end == End::Over { 0.0 } else { discount };
             future.place = future.place.after(1);
-            if end != End::Open {
+            if end != End::Open || stops(future.place) {
                 break;
             }
         }
@@ -448,13 +503,21 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
     /// # Errors
     /// A checkpoint has none, or one of another size.
     pub fn visit(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        self.visit_as(state, "trajectories")
+    }
+
+    /// The same of one of several, by this name.
+    ///
+    /// # Errors
+    /// A checkpoint has none, or one of another size.
+    pub fn visit_as(&mut self, state: &mut State<'_>, name: &str) -> Result<(), LearnError> {
         let sizes = |it: &Self| (it.capacity, it.widths, it.streams.len());
         let own = sizes(self);
-        state.value("trajectories", self)?;
+        state.value(name, self)?;
         if sizes(self) == own {
             return Ok(());
         }
-        Err(LearnError::Config("`trajectories` of the checkpoint: of another size".to_owned()))
+        Err(LearnError::Config(format!("`{name}` of the checkpoint: of another size")))
     }
 }
 

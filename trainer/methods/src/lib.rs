@@ -85,15 +85,6 @@ impl SavedStates {
     }
 }
 
-/// The first `length` numbers of a buffer that grows but never shrinks, so that a steady stream of batches allocates
-/// nothing; their content is whatever stood there.
-pub(crate) fn sized(buffer: &mut Vec<f32>, length: usize) -> &mut [f32] {
-    if buffer.len() < length {
-        buffer.resize(length, 0.0);
-    }
-    &mut buffer[..length]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,13 +1,12 @@
 //! What is timed: both levels of a run of preset `fast`, on experience of its own.
 
+use sortie_envs::Environment;
 use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
-use sortie_methods::learners::records::team_value::{TeamSearch, TeamValueLoss};
-use sortie_methods::learners::records::{
-    Chunk, Config, Knowledge, Learner, Loss, Networks, Records,
-};
+use sortie_methods::learners::records::team_value::TeamSearch;
+use sortie_methods::learners::records::{Allocator, Config, Moment, Records};
 use sortie_nn::random::Generator;
 
 use super::{Case, Turn, setup};
@@ -38,10 +37,10 @@ pub(super) struct Learning {
     /// Of the whole run.
     steps: u64,
     pub(super) method: Records,
-    pub(super) picks: Generator,
+    pub(super) environment: Box<dyn Environment>,
+    random: Generator,
     play: Play,
     search: TeamSearch,
-    decision: usize,
 }
 
 impl Learning {
@@ -59,13 +58,10 @@ impl Learning {
         let random = (0..config.environment.instances).map(stream).collect();
         let mut learning = Self {
             play: Play::new(&*environment, &mut method, random),
-            search: TeamSearch::new(
-                config.allocator.shape(environment.spec()),
-                config.allocation.team_max,
-            ),
-            picks: generator(seed, Purpose::Replay, 0),
-            decision: 0,
+            search: TeamSearch::new(config.allocation.team_max),
+            random: generator(seed, Purpose::Replay, 2),
             method,
+            environment,
             config,
             steps: setup.run.steps,
         };
@@ -81,12 +77,6 @@ impl Learning {
         let now = Now { env_steps, of: self.steps };
         self.play.round(&mut self.method, now, &mut EpisodeCounts::default())?;
         Ok(())
-    }
-
-    /// Empty space for gradients of the agents' loss.
-    pub(super) fn chunk(&self) -> Chunk {
-        let Config { network, mixer, .. } = &self.config;
-        Chunk::new(&self.method.agents.knowledge().online, network.subtask, mixer.reward_factor())
     }
 
     /// The case of a work, without figures yet.
@@ -125,49 +115,43 @@ impl Learning {
 
     /// Works for so many CPU-seconds.
     pub(super) fn turn(&mut self, work: Work, seconds: f64) -> Result<Turn, Failure> {
-        let (rollout, search) = (self.method.rollout.operations(), self.search.operations());
+        let (acted, searched) = (self.method.rollout.operations(), self.search.operations());
+        let mut updates = 0;
         let mut turn = timed(seconds, || match work {
             Work::AgentsUpdate => {
-                self.method.agents.pick(&mut self.picks);
-                update(&mut self.method.agents, self.config.optimiser.learning_rate);
+                let rate = self.config.optimiser.learning_rate;
+                std::hint::black_box(self.method.update_agents(&*self.environment, rate));
+                updates += self.method.agents.spaces().map(|lesson| lesson.operations).sum::<u64>();
                 Ok(())
             }
             Work::AllocatorUpdate => {
-                let learner = self.method.allocator.as_mut().ok_or_else(no_allocator)?;
-                learner.pick(&mut self.picks);
-                update(learner, self.config.allocator.optimiser.learning_rate);
+                let (config, environment) = (&self.config.allocator, &*self.environment);
+                let allocator = self.method.allocator.as_mut().ok_or_else(no_allocator)?;
+                let rate = config.optimiser.learning_rate;
+                std::hint::black_box(allocator.update(config, environment, rate));
+                updates += allocator.learner.spaces().map(|lesson| lesson.operations).sum::<u64>();
                 Ok(())
             }
             Work::Rollout => self.act(u64::MAX),
             Work::Search => self.decide(),
         })?;
         turn.operations = match work {
-            Work::AgentsUpdate => {
-                let mut chunk = self.chunk();
-                gradient(&mut self.method.agents, &mut chunk, &mut self.picks);
-                chunk.operations() as f64 * turn.calls
-            }
-            Work::AllocatorUpdate => {
-                let learner = self.method.allocator.as_mut().ok_or_else(no_allocator)?;
-                let mut loss = TeamValueLoss::new(learner.average.shape());
-                gradient(learner, &mut loss, &mut self.picks);
-                loss.operations() as f64 * turn.calls
-            }
-            Work::Rollout => (self.method.rollout.operations() - rollout) as f64,
-            Work::Search => (self.search.operations() - search) as f64,
+            Work::AgentsUpdate | Work::AllocatorUpdate => updates as f64,
+            Work::Rollout => (self.method.rollout.operations() - acted) as f64,
+            Work::Search => (self.search.operations() - searched) as f64,
         };
         Ok(turn)
     }
 
     /// Decides once more on a state in which it was decided before.
     fn decide(&mut self) -> Result<(), Failure> {
-        let learner = self.method.allocator.as_ref().ok_or_else(no_allocator)?;
-        let knowledge = learner.knowledge();
-        self.decision = (self.decision + 1) % knowledge.replay.len();
-        let state = &knowledge.replay.get(self.decision).now.state;
-        let (environment, random) = (knowledge.experience().environment, &mut self.picks);
-        let mut allocation = vec![0; environment.spec().shape.agents];
-        self.search.allocate(&knowledge.online, environment, state, random, &mut allocation)?;
+        let Self { method, environment, random, search, .. } = self;
+        let allocator: &Allocator = method.allocator.as_ref().ok_or_else(no_allocator)?;
+        let agents = environment.spec().shape.agents;
+        let place = allocator.segments.draw(1, random);
+        let state = Moment::read(allocator.segments.state(place), agents).state;
+        let mut allocation = vec![0; agents];
+        search.allocate(allocator.online(), &**environment, state, random, &mut allocation)?;
         std::hint::black_box(allocation);
         Ok(())
     }
@@ -178,32 +162,6 @@ fn no_allocator() -> Failure {
         Exit::Usage,
         "what is measured learns an allocator: `allocation.learned` above 0, subtasks",
     )
-}
-
-fn update<L: Loss>(learner: &mut Learner<L>, rate: f32) {
-    learner.job()();
-    std::hint::black_box(learner.follow(rate));
-}
-
-/// The mean squared error of a batch and its gradient, computed beside the learner.
-pub(super) fn gradient<L: Loss>(
-    learner: &mut Learner<L>,
-    loss: &mut L,
-    picks: &mut Generator,
-) -> (f64, Vec<f32>) {
-    learner.pick(picks);
-    let knowledge = learner.knowledge();
-    let Knowledge { online, target, .. } = &*knowledge;
-    let (mut sum, mut error, mut terms) = (Vec::new(), 0.0, 0);
-    for picks in knowledge.picks().chunks(L::CHUNK) {
-        loss.learn(Networks { online, target }, knowledge.experience(), picks);
-        sum.resize(loss.gradient().len(), 0.0);
-        sum.iter_mut().zip(loss.gradient()).for_each(|(sum, part)| *sum += part);
-        error += loss.squared_error();
-        terms += loss.terms();
-    }
-    let count = terms.max(1) as f64;
-    (error / count, sum.into_iter().map(|slope| slope / count as f32).collect())
 }
 
 /// Calls again and again for so many CPU-seconds of this thread.

@@ -161,3 +161,10 @@ impl Tensors {
         safetensors::serialize_to_file(views, Some(settings), path)
     }
 }
+
+/// The gradient with the norm that it had before it was clipped.
+pub(super) fn unclipped(gradient: &[f32], norm: f32) -> Vec<f32> {
+    let now = gradient.iter().map(|slope| f64::from(*slope).powi(2)).sum::<f64>().sqrt();
+    let factor = (f64::from(norm) / now.max(f64::MIN_POSITIVE)) as f32;
+    gradient.iter().map(|slope| slope * factor).collect()
+}

@@ -9,11 +9,11 @@ use serde::Deserialize;
 use sortie_cli::failure::{Exit, Failure};
 use sortie_cli::output::tell;
 use sortie_envs::{EntitySet, Environment, Observation, members};
-use sortie_methods::learners::agents::{Columns, NO_ACTION, UtilityNetwork, UtilityShape};
-use sortie_methods::learners::records::{Experience, Knowledge, Moment, Pick, Replay};
+use sortie_methods::learners::agents::{Columns, NO_ACTION, UtilityView, transpose};
+use sortie_methods::learners::records::{Drawn, Experience, Moment};
 
-use super::learning::{Learning, gradient};
-use super::program::{Comparison, Expected, Program, Tensors};
+use super::learning::Learning;
+use super::program::{Comparison, Expected, Program, Tensors, unclipped};
 
 const PROGRAM: &str = include_str!("../../../../benches/train_step.py");
 
@@ -123,40 +123,30 @@ const BATCHES: usize = 8;
 
 impl Tensors {
     /// All weights in PyTorch's layout.
-    pub(super) fn network(&mut self, of: &str, network: &UtilityNetwork) {
-        let UtilityShape { input, width, base, actions, skip, .. } = network.shape();
-        let w = network.weights();
-        for (name, shape, values) in [
-            ("fc1.weight", &[width, input][..], &w.fc1_weight),
-            ("fc1.bias", &[width], &w.fc1_bias),
-            ("attention.in.weight", &[3 * width, width], &w.attention_in_weight),
-            ("attention.out.weight", &[width, width], &w.attention_out_weight),
-            ("attention.out.bias", &[width], &w.attention_out_bias),
-            ("fc2.weight", &[base, width], &w.fc2_weight),
-            ("fc2.bias", &[base], &w.fc2_bias),
-            ("head.weight", &[actions, base], &w.head_weight),
-            ("head.bias", &[actions], &w.head_bias),
-        ] {
-            self.floats(format!("{of}.{name}"), shape, values);
-        }
-        if skip {
-            self.floats(format!("{of}.skip.weight"), &[width, width], &w.skip_weight);
+    pub(super) fn network(&mut self, of: &str, network: UtilityView<'_>) {
+        for tensor in network.shape.tensors() {
+            let values = &network.parameters[tensor.range];
+            let name = format!("{of}.{}", tensor.name);
+            match (&*tensor.name, &tensor.shape[..]) {
+                ("fc1.weight", [rows, columns]) => {
+                    let turned = transpose(values, *rows, *columns);
+                    self.floats(name, &[*columns, *rows], &turned);
+                }
+                (_, [1, columns]) if tensor.name.ends_with("bias") => {
+                    self.floats(name, &[*columns], values);
+                }
+                (_, shape) => self.floats(name, shape, values),
+            }
         }
     }
 
     /// A batch, its teams padded to its largest.
-    fn batch(
-        &mut self,
-        number: usize,
-        experience: Experience<'_, Replay>,
-        picks: &[Pick],
-        team: usize,
-    ) {
+    fn batch(&mut self, number: usize, experience: Experience<'_>, drawn: &[Drawn], team: usize) {
         let mut dense = Dense::default();
-        for pick in picks {
-            dense.push(experience, *pick, team);
+        for drawn in drawn {
+            dense.push(experience, *drawn, team);
         }
-        let count = picks.len();
+        let count = drawn.len();
         let name = |part: &str| format!("batch{number}.{part}");
         let shape = experience.environment.spec().shape;
         let rows = [count, team + 1, Columns::of(&shape).unmarked()];
@@ -183,19 +173,19 @@ struct Dense {
 }
 
 impl Dense {
-    /// Adds a record, turned as it was picked.
-    fn push(&mut self, experience: Experience<'_, Replay>, pick: Pick, team: usize) {
+    /// Adds a record, turned as it was drawn.
+    fn push(&mut self, experience: Experience<'_>, drawn: Drawn, team: usize) {
         let Experience { environment, replay } = experience;
-        let sample = replay.get(pick.sample as usize);
-        let turn = pick.symmetry.into();
-        let agents: Vec<usize> = members(sample.team().into()).collect();
-        let things = sample.record.things();
-        let sight = EntitySet::from(sample.team()) | things;
+        let (sample, turn) = (replay.sample(drawn.sample), drawn.turn);
+        let own = sample.now.team(sample.task);
+        let agents: Vec<usize> = members(own.into()).collect();
+        let things = sample.things;
+        let sight = EntitySet::from(own) | things;
         let now = Seen::new(environment, sample.now, turn, sight);
         let next = Seen::new(environment, sample.next, turn, sight);
         for place in 0..team {
             let member = agents.get(place).copied();
-            let action = member.map_or(0, |agent| now.turned(sample.now.actions[agent]));
+            let action = member.map_or(0, |agent| now.turned(sample.now.actions[agent].into()));
             self.present.push(member.is_some());
             self.actions.push(action.into());
             let available = member.map_or(0, |agent| next.seen.available[agent]);
@@ -207,8 +197,8 @@ impl Dense {
         let thing = members(things).next();
         self.rows.extend(now.row(thing));
         self.next_rows.extend(next.row(thing));
-        self.reward.push(sample.record.reward);
-        self.discount.push(sample.record.discount);
+        self.reward.push(sample.reward);
+        self.discount.push(sample.discount);
     }
 }
 
@@ -232,8 +222,8 @@ impl<'a> Seen<'a> {
         Self { environment, moment, turn, seen }
     }
 
-    fn turned(&self, action: u8) -> u16 {
-        self.environment.turned_action(self.turn, action.into())
+    fn turned(&self, action: u16) -> u16 {
+        self.environment.turned_action(self.turn, action)
     }
 
     /// The row of an entity, an agent's with its last action, or of none.
@@ -244,7 +234,7 @@ impl<'a> Seen<'a> {
         self.seen.rows.write_dense(self.seen.row_of(entity), &mut row[..shape.features]);
         let last_action = self.moment.last_actions.get(entity).copied().unwrap_or(NO_ACTION);
         if last_action != NO_ACTION {
-            row[shape.features + usize::from(self.turned(last_action))] = 1.0;
+            row[shape.features + usize::from(self.turned(last_action.into()))] = 1.0;
         }
         row
     }
@@ -255,21 +245,28 @@ pub(super) fn write(learning: &mut Learning, path: &Path) -> Result<Expected, Fa
     let mut tensors = Tensors::default();
     let mut expected = Expected { loss: f64::NAN, gradient_norm: f64::NAN };
     for number in 0..BATCHES {
-        let mut chunk = learning.chunk();
-        let (loss, slopes) = gradient(&mut learning.method.agents, &mut chunk, &mut learning.picks);
-        let knowledge = learning.method.agents.knowledge();
-        let Knowledge { online, target, replay, .. } = &*knowledge;
-        let picks = knowledge.picks().iter();
-        let sizes = picks.map(|pick| replay.get(pick.sample as usize).team().count_ones());
-        let team = sizes.max().map_or(1, |largest| largest as usize);
-        tensors.batch(number, knowledge.experience(), knowledge.picks(), team);
+        let Learning { config, method, environment, .. } = &mut *learning;
+        let before = [method.agents.online.values.clone(), method.agents.target.clone()];
+        // A step of no length moves nothing but targets and means, a little; the gradient stands there.
+        let found = method
+            .update_agents(&**environment, 0.0)
+            .ok_or_else(|| Failure::new(Exit::Bug, "there is too little to learn from"))?;
+        let experience = Experience { environment: &**environment, replay: &method.replay };
+        let size = |drawn: &Drawn| {
+            let sample = experience.replay.sample(drawn.sample);
+            sample.now.team(sample.task).count_ones() as usize
+        };
+        let team = method.drawn().iter().map(size).max().unwrap_or(1);
+        tensors.batch(number, experience, method.drawn(), team);
         if number == 0 {
-            let norm = slopes.iter().map(|slope| f64::from(*slope).powi(2)).sum::<f64>().sqrt();
-            expected = Expected { loss, gradient_norm: norm };
-            tensors.network("online", &online.utility);
-            tensors.network("target", &target.utility);
-            let slopes = UtilityNetwork::from_parameters(online.utility.shape(), slopes);
-            slopes.iter().for_each(|slopes| tensors.network("gradient", slopes));
+            let norm = f64::from(found.gradient_norm);
+            expected = Expected { loss: found.loss, gradient_norm: norm };
+            let shape = config.network.shape(environment.spec());
+            let slopes = unclipped(method.agents.gradient(), found.gradient_norm);
+            let networks = [("online", &before[0]), ("target", &before[1]), ("gradient", &slopes)];
+            for (of, parameters) in networks {
+                tensors.network(of, UtilityView { shape, parameters });
+            }
         }
     }
     tensors.write(settings(learning), path).map_err(Failure::bug)?;

@@ -14,7 +14,6 @@ use std::ops::Range;
 
 use sortie_envs::Spec;
 use sortie_nn::layers::gru::lengths;
-use sortie_nn::layers::split_attention::HEADS;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Gru, Linear, Parameters, Pass, Var};
 
@@ -171,12 +170,12 @@ impl EntityAgent {
         let outputs_first = |layer: Linear| matrix(layer, Layout::OutputsFirst);
         let whole =
             |layer: Linear| Layer { weight: outputs_first(layer), bias: bias(layer, values) };
-        let EntityAttention { embed, queries, keys_values } = self.looking;
+        let EntityAttention { embed, queries, keys_values, heads } = self.looking;
         let attention_in = queries.weight..keys_values.weight_range().end;
         let network = AttentionNetwork {
             inputs: embed.shape.input,
             width: embed.shape.output,
-            heads: HEADS,
+            heads,
             base: self.head.shape.input,
             outputs: self.shape.actions,
             fc1: Layer { weight: matrix(embed, Layout::InputsFirst), bias: bias(embed, values) },

@@ -1,6 +1,7 @@
 //! Entities embedded and attended to: what agents and hypernetworks begin with (dissertation section 2.3).
 
 use sortie_nn::layers::linear::LinearShape;
+use sortie_nn::layers::split_attention::{HEADS, WIDTHS};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
@@ -13,9 +14,11 @@ pub struct LookShape {
     pub input: usize,
     /// Columns that are usually not zero, by which the first weights are scaled.
     pub active_inputs: usize,
-    /// Width of embedding, queries, keys and values: one of
+    /// Width of embedding, queries, keys and values. What is imagined takes one of
     /// [`WIDTHS`](sortie_nn::layers::split_attention::WIDTHS), for which attention in four heads is built.
     pub width: usize,
+    /// Attention heads, a divisor of the width.
+    pub heads: usize,
 }
 
 /// The layers: features are embedded, `max(0, W x + b)`, and every query attends to the embeddings that it sees.
@@ -27,6 +30,8 @@ pub struct EntityAttention {
     pub queries: Linear,
     /// `[2 width, width]`, without offsets.
     pub keys_values: Linear,
+    /// Attention heads.
+    pub heads: usize,
 }
 
 /// What queries have attended to.
@@ -46,7 +51,7 @@ impl EntityAttention {
         shape: LookShape,
         random: &mut Generator,
     ) -> Self {
-        let LookShape { input, active_inputs, width } = shape;
+        let LookShape { input, active_inputs, width, heads } = shape;
         let sizes = [input, width];
         let embed =
             parameters.sparse_linear(&format!("{name}.fc1"), sizes, active_inputs as f32, random);
@@ -59,7 +64,7 @@ impl EntityAttention {
         };
         let queries = part(width, weight);
         let keys_values = part(2 * width, weight + width * width);
-        Self { embed, queries, keys_values }
+        Self { embed, queries, keys_values, heads }
     }
 
     /// Attends to what a batch shows: queries are made of agents' rows only, keys and values of all.
@@ -74,7 +79,12 @@ impl EntityAttention {
             pass.gather(queries, view.own)
         };
         let keys_values = pass.linear(embeddings, self.keys_values);
-        let output = pass.split_attention(queries, keys_values, view.lists, view.imagines);
+        let is_built = self.heads == HEADS && WIDTHS.contains(&self.queries.shape.output);
+        let output = if is_built || view.imagines {
+            pass.split_attention(queries, keys_values, view.lists, view.imagines)
+        } else {
+            pass.attention(queries, keys_values, view.lists, self.heads)
+        };
         Attended { embeddings, output }
     }
 }

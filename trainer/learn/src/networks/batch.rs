@@ -6,7 +6,7 @@ use std::iter::Peekable;
 use std::ops::Range;
 
 use sortie_envs::{ActionSet, EntitySet, Observation, SparseRows, members};
-use sortie_nn::layers::SplitLists;
+use sortie_nn::layers::VisibleLists;
 
 use super::BLOCKS;
 
@@ -27,9 +27,20 @@ pub struct View<'a> {
     /// The row of every query, where rows are shared; else query i belongs to row i.
     pub own: &'a [u32],
     /// For each query the rows that it sees, those within its part first.
-    pub lists: &'a SplitLists,
+    pub lists: &'a VisibleLists,
     /// Whether the parts are to be attended to as well.
     pub imagines: bool,
+}
+
+/// Teams, whose agents stand one behind the other.
+#[derive(Clone, Copy, Debug)]
+pub struct Teams<'a> {
+    /// What each agent knows of its state.
+    pub known: View<'a>,
+    /// The team of every agent by its number, of all agents twice where something is imagined.
+    pub numbers: &'a [u32],
+    /// `[teams]`: agents of each.
+    pub sizes: &'a [f32],
 }
 
 /// What aimed actions aim at, of each query those targets that it sees.
@@ -69,8 +80,8 @@ pub struct EntityBatch {
     rows: SparseRows,
     others: SparseRows,
     shared: Option<Shared>,
-    seen: SplitLists,
-    known: SplitLists,
+    seen: VisibleLists,
+    known: VisibleLists,
     states: Vec<Sets>,
     queries: Vec<Query>,
     /// Whether some agent does not see everything that exists in its state.
@@ -216,8 +227,8 @@ impl EntityBatch {
             let row = |entity: usize| rows[entity];
             for (number, query) in queries.by_ref().take(sets.agents.count_ones() as usize) {
                 let part = if imagines { query.within } else { EntitySet::MAX };
-                let list = |lists: &mut SplitLists, seen: EntitySet| {
-                    lists.push(members(seen & part).map(row), members(seen & !part).map(row));
+                let list = |lists: &mut VisibleLists, seen: EntitySet| {
+                    lists.push_parts(members(seen & part).map(row), members(seen & !part).map(row));
                 };
                 list(&mut self.seen, query.observable);
                 let targets = self.targets.iter().enumerate();
@@ -281,7 +292,7 @@ impl EntityBatch {
         self.view(if self.hides { &self.known } else { &self.seen })
     }
 
-    fn view<'a>(&'a self, lists: &'a SplitLists) -> View<'a> {
+    fn view<'a>(&'a self, lists: &'a VisibleLists) -> View<'a> {
         let (rows, own) = match &self.shared {
             Some(Shared { rows, places, .. }) => (rows, &places[..self.agents()]),
             None => (&self.rows, &[][..]),
@@ -327,14 +338,9 @@ impl EntityBatch {
         &self.sizes
     }
 
-    /// The same as numbers of a column.
-    pub(super) fn team_sizes(&self) -> &[f32] {
-        &self.team_sizes
-    }
-
-    /// `[2 * agents]`: the state of every agent by its number, of all agents twice.
-    pub(super) fn teams(&self) -> &[u32] {
-        &self.teams
+    /// The agents of every state as a team, which knows everything that exists there.
+    pub fn teams(&self) -> Teams<'_> {
+        Teams { known: self.known(), numbers: &self.teams, sizes: &self.team_sizes }
     }
 
     /// The actions that each agent may take.

@@ -9,7 +9,7 @@ use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::BLOCKS;
 use super::attention::{EntityAttention, LookShape};
-use super::batch::EntityBatch;
+use super::batch::{Teams, View};
 
 crate::words! {
     /// How the utilities of a team become its value.
@@ -128,17 +128,17 @@ impl Mixer {
         Self { shape, hypernetworks, kinds }
     }
 
-    /// Mixes the utilities `[blocks * agents, 1]` of the chosen actions of a batch, and with three blocks the imagined ones.
-    pub fn mix(&self, pass: &mut Pass<'_>, batch: &EntityBatch, utilities: Var) -> Mixed {
-        let agents = batch.agents();
+    /// Mixes the utilities `[blocks * agents, 1]` of the chosen actions of all agents, and with three blocks the imagined ones.
+    pub fn mix(&self, pass: &mut Pass<'_>, all: Teams<'_>, utilities: Var) -> Mixed {
+        let agents = all.known.queries();
         let imagines = pass.size(utilities)[0] > agents;
-        let numbers = self.numbers(pass, batch, imagines, utilities);
+        let numbers = self.numbers(pass, all.known, imagines, utilities);
         let mut mix = |rows: std::ops::Range<usize>| {
-            let teams = &batch.teams()[..rows.len()];
+            let teams = &all.numbers[..rows.len()];
             let utilities = pass.rows(utilities, rows.clone());
-            let mixed = Mixing { batch, teams, rows, agents };
+            let mixed = Mixing { all, teams, rows, agents };
             match self.shape.kind {
-                MixerKind::Sum => pass.scatter(utilities, teams, batch.sizes().len()),
+                MixerKind::Sum => pass.scatter(utilities, teams, all.sizes.len()),
                 MixerKind::Linear => self.linear(pass, mixed, utilities, &numbers),
                 MixerKind::Qmix => self.qmix(pass, mixed, utilities, &numbers),
             }
@@ -152,12 +152,11 @@ impl Mixer {
     fn numbers(
         &self,
         pass: &mut Pass<'_>,
-        batch: &EntityBatch,
+        view: View<'_>,
         imagines: bool,
         none: Var,
     ) -> [Var; KINDS] {
         let mut numbers = [none; KINDS];
-        let view = batch.known();
         for (at, Hypernetwork { looking, project, imagines: own }) in
             self.hypernetworks.iter().enumerate()
         {
@@ -184,14 +183,14 @@ impl Mixer {
         utilities: Var,
         [scores, value, ..]: &[Var; KINDS],
     ) -> Var {
-        let Mixing { batch, teams, rows, .. } = mixing.clone();
-        let count = batch.sizes().len();
+        let Mixing { all, teams, rows, .. } = mixing.clone();
+        let count = all.sizes.len();
         let scores = pass.rows(*scores, rows);
         let weights = pass.softmax_by(scores, teams, count);
         let weighted = pass.multiply(weights, utilities);
         let mut mixed = pass.scatter(weighted, teams, count);
         if self.shape.weights_sum == WeightsSum::Agents {
-            let sizes = pass.input(1, batch.team_sizes());
+            let sizes = pass.input(1, all.sizes);
             mixed = pass.multiply(mixed, sizes);
         }
         let value = mixing.mean(pass, *value);
@@ -209,11 +208,11 @@ impl Mixer {
         utilities: Var,
         [first, bias, second, value]: &[Var; KINDS],
     ) -> Var {
-        let Mixing { batch, teams, rows, .. } = mixing.clone();
+        let Mixing { all, teams, rows, .. } = mixing.clone();
         let first = pass.rows(*first, rows);
         let first = pass.softmax(first);
         let first = pass.scale_rows(first, utilities);
-        let hidden = pass.scatter(first, teams, batch.sizes().len());
+        let hidden = pass.scatter(first, teams, all.sizes.len());
         let bias = mixing.mean(pass, *bias);
         let hidden = pass.add(hidden, bias);
         let hidden = pass.elu(hidden);
@@ -229,7 +228,7 @@ impl Mixer {
 /// What is mixed: rows of utilities and the team of each.
 #[derive(Clone)]
 struct Mixing<'a> {
-    batch: &'a EntityBatch,
+    all: Teams<'a>,
     teams: &'a [u32],
     rows: std::ops::Range<usize>,
     agents: usize,
@@ -239,6 +238,6 @@ impl Mixing<'_> {
     /// The mean over each team of its agents' numbers, of those in the first block.
     fn mean(&self, pass: &mut Pass<'_>, numbers: Var) -> Var {
         let first = pass.rows(numbers, 0..self.agents);
-        pass.mean_by(first, &self.batch.teams()[..self.agents], self.batch.sizes().len())
+        pass.mean_by(first, &self.all.numbers[..self.agents], self.all.sizes.len())
     }
 }

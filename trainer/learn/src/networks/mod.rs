@@ -13,7 +13,7 @@
 //! # ring.reset(0, &mut random);
 //! # ring.save(0, &mut state);
 //! let (input, actions) = (ring.spec().shape.features, ring.spec().shape.actions);
-//! let looking = LookShape { input, active_inputs: 3, width: 16 };
+//! let looking = LookShape { input, active_inputs: 3, width: 16, heads: 4 };
 //! let (mut parameters, agent) = (Parameters::default(), AgentShape { looking, actions, skip: true, memory: 0, targets: Targets::default() });
 //! let agents = EntityAgent::new(&mut parameters, agent, &mut random);
 //! let kind = MixerKind::Linear;
@@ -28,7 +28,7 @@
 //! let mut pass = tape.begin(&parameters.values);
 //! let utilities = agents.utilities(&mut pass, &batch, batch.seen(), &mut []);
 //! let chosen = pass.pick(utilities, &[0, 1, 0]);
-//! let value = mixer.mix(&mut pass, &batch, chosen).real;
+//! let value = mixer.mix(&mut pass, batch.teams(), chosen).real;
 //! assert_eq!(pass.size(value), [1, 1]);
 //! # Ok::<(), sortie_envs::EnvironmentError>(())
 //! ```
@@ -46,7 +46,7 @@ mod mixer;
 pub use acting::{Acting, Greedy, best, deployed};
 pub use agent::{AgentShape, EntityAgent, Targets};
 pub use attention::{Attended, EntityAttention, LookShape};
-pub use batch::{EntityBatch, Moment, View};
+pub use batch::{EntityBatch, Moment, Teams, View};
 pub use mixer::{Hypernetworks, Mixed, Mixer, MixerKind, MixerShape, WeightsSum};
 pub use sortie_nn::layers::split_attention::BLOCKS;
 

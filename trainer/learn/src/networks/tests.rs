@@ -7,7 +7,7 @@ use sortie_nn::tape::{Parameters, Pass, Tape, Tensor, Var};
 
 use super::*;
 
-const LOOKING: LookShape = LookShape { input: 9, active_inputs: 3, width: 16 };
+const LOOKING: LookShape = LookShape { input: 9, active_inputs: 3, width: 16, heads: 4 };
 const KINDS: [MixerKind; 3] = [MixerKind::Sum, MixerKind::Linear, MixerKind::Qmix];
 
 /// What is there in each of three states of three agents and two others, and what agents observe of it:
@@ -157,7 +157,7 @@ fn gradients_of_mixers_agree_with_finite_differences() {
                 // Far apart, so that what they are weighted by matters more than rounding.
                 let chosen: Vec<f32> = random(5, 3 * AGENTS).iter().map(|x| 4.0 * x).collect();
                 let chosen = pass.input(1, &chosen);
-                let mixed = mixer.mix(pass, &batch, chosen);
+                let mixed = mixer.mix(pass, batch.teams(), chosen);
                 pass.stack(&[mixed.real, mixed.imagined.unwrap()])
             });
         }
@@ -299,7 +299,7 @@ fn a_better_utility_never_makes_a_team_worse() {
         let (batch, mut tape) = (batch(false, false), Tape::default());
         let mut pass = tape.begin(&weights.values);
         let chosen = pass.leaf(1, &random(5, 3 * AGENTS));
-        let mixed = mixer.mix(&mut pass, &batch, chosen);
+        let mixed = mixer.mix(&mut pass, batch.teams(), chosen);
         let both = [mixed.real, mixed.imagined.unwrap()].map(|values| pass.sum_rows(values));
         let sum = pass.add(both[0], both[1]);
         pass.backward(sum, &mut vec![0.0; weights.values.len()]);
@@ -326,7 +326,7 @@ fn weights_add_up_to_one_or_to_the_number_of_agents() {
         let mut mix = |utility: f32| {
             let mut pass = tape.begin(&weights.values);
             let chosen = pass.input(1, &[utility; 3 * AGENTS]);
-            let mixed = mixer.mix(&mut pass, &batch, chosen);
+            let mixed = mixer.mix(&mut pass, batch.teams(), chosen);
             [mixed.real, mixed.imagined.unwrap()].map(|values| pass.values(values).to_vec())
         };
         let (none, one) = (mix(0.0), mix(1.0));
@@ -380,7 +380,7 @@ fn who_is_absent_is_a_thing_among_others() {
             let mut tape = Tape::default();
             let mut pass = tape.begin(&weights.values);
             let chosen = pass.input(1, &[0.5, -2.0]);
-            let mixed = mixer.mix(&mut pass, batch, chosen).real;
+            let mixed = mixer.mix(&mut pass, batch.teams(), chosen).real;
             pass.values(mixed).to_vec()
         };
         assert_near(&mix(&one), &mix(&other));

@@ -4,7 +4,7 @@ use sortie_core::Policy;
 use sortie_learn::LearnError;
 use sortie_learn::export::{DeployedAgents, DeployedNetworks, Words};
 
-use super::agents::{Conditioning, NetworkPolicy, UtilityNetwork};
+use super::agents::{Conditioning, NetworkPolicy, UtilityShape};
 use super::teams::Agents;
 
 /// The agents as they are deployed.
@@ -53,9 +53,9 @@ pub(super) fn words(allocator: String, departures: String) -> Words {
 }
 
 /// Whose own embedding reaches the layers behind the attention directly.
-pub(super) fn skips(agents: &UtilityNetwork, allocator: Option<&UtilityNetwork>) -> String {
-    let allocator = allocator.is_some_and(|network| network.shape().skip);
-    let who = match (agents.shape().skip, allocator) {
+pub(super) fn skips(agents: UtilityShape, allocator: Option<UtilityShape>) -> String {
+    let allocator = allocator.is_some_and(|shape| shape.skip);
+    let who = match (agents.skip, allocator) {
         (true, true) => "agents and of the allocator",
         (true, false) => "agents",
         (false, true) => "allocator",

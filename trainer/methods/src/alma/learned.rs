@@ -5,12 +5,13 @@ use std::path::Path;
 use sortie_bundle::TRAINING;
 use sortie_envs::Spec;
 use sortie_learn::LearnError;
+use sortie_learn::configuration::OptimiserConfig;
 use sortie_learn::run::RunFolder;
 use sortie_learn::run::checkpoint::{Checkpoint, OpenFor};
 use sortie_nn::layers::gru::lengths;
 
 use super::Config;
-use super::agents::{UtilityNetwork, UtilityShape, tensors};
+use super::agents::{UtilityNetwork, UtilityShape};
 
 /// What another run has learned, by whichever preset.
 #[derive(Clone, Debug)]
@@ -36,9 +37,14 @@ impl Learned {
         match config {
             Config::Records(config) => {
                 let shape = config.learns_allocator().then(|| config.allocator.shape(spec));
-                let value = |shape| network(checkpoint, "allocator/average", shape);
+                let name = |of, optimiser| format!("{of}/{}", measured(optimiser));
+                let value = |shape| {
+                    let name = name("allocator", &config.allocator.optimiser);
+                    network(checkpoint, &name, shape)
+                };
+                let agents = name("agents", &config.optimiser);
                 Ok(Self {
-                    network: network(checkpoint, "agents/average", config.network.shape(spec))?,
+                    network: network(checkpoint, &agents, config.network.shape(spec))?,
                     memory_unit: Vec::new(),
                     team_values: shape.map(value).transpose()?,
                 })
@@ -59,13 +65,18 @@ impl Learned {
     }
 }
 
+/// What checkpoints call the weights that are measured: those that are averaged, where any are.
+pub(crate) fn measured(optimiser: &OptimiserConfig) -> &'static str {
+    if optimiser.average_rate < 1.0 { "average" } else { "online" }
+}
+
 /// A network by its name in the checkpoint.
 fn network(
     checkpoint: &Checkpoint,
     name: &str,
     shape: UtilityShape,
 ) -> Result<UtilityNetwork, LearnError> {
-    let parameters = checkpoint.vector(name, &tensors(shape))?;
+    let parameters = checkpoint.vector(name, &shape.tensors())?;
     let misfit = || checkpoint.bad(format!("`{name}` does not fit its shape"));
     UtilityNetwork::from_parameters(shape, parameters).ok_or_else(misfit)
 }

@@ -8,8 +8,8 @@ use sortie_learn::{LearnError, Thought};
 use sortie_nn::tape::{Places, Tape};
 
 use crate::alma::agents::{
-    Columns, Conditioning, NO_ACTION, NetworkPolicy, TeamBatch, UtilityLayers, UtilityNetwork,
-    UtilityShape, best_action,
+    Columns, Conditioning, NO_ACTION, NetworkPolicy, TeamBatch, UtilityLayers, UtilityShape,
+    UtilityView, best_action,
 };
 use crate::alma::coach::{Advice, Coach, strategy_of};
 
@@ -77,7 +77,7 @@ impl subtasks::Agents for NetworkAgents<'_> {
 #[derive(Clone, Copy, Debug)]
 pub struct Agents<'a> {
     /// Their utility network.
-    pub network: &'a UtilityNetwork,
+    pub network: UtilityView<'a>,
     /// The recurrent unit of their memory; empty where they have none.
     pub memory_unit: &'a [f32],
     /// What tells them their strategies at decision points, if anything does (COPA).
@@ -86,7 +86,7 @@ pub struct Agents<'a> {
 
 impl<'a> Agents<'a> {
     /// Agents without memory and coach.
-    pub fn new(network: &'a UtilityNetwork) -> Self {
+    pub fn new(network: UtilityView<'a>) -> Self {
         Self { network, memory_unit: &[], coach: None }
     }
 }
@@ -104,6 +104,7 @@ pub struct Players {
     memory: Vec<f32>,
     /// `[rows, R]`: the same of those who act.
     remembered: Vec<f32>,
+    operations: u64,
 }
 
 impl Players {
@@ -116,7 +117,13 @@ impl Players {
             parameters: Vec::new(),
             memory: Vec::new(),
             remembered: Vec::new(),
+            operations: 0,
         }
+    }
+
+    /// Floating-point operations of all passes up to now.
+    pub fn operations(&self) -> u64 {
+        self.operations
     }
 
     /// Computes the utilities `[U]` of all agents of all scenes and gives them to `each` with scene and agent.
@@ -132,16 +139,16 @@ impl Players {
         slots: usize,
         mut each: impl FnMut(usize, usize, &[f32]),
     ) -> Result<(), LearnError> {
-        self.look(agents.network.shape(), scenes)?;
+        self.look(agents.network.shape, scenes)?;
         let Agents { network, memory_unit, coach } = agents;
-        let shape = network.shape();
+        let shape = network.shape;
         self.recall(scenes, slots, shape.base, memory_unit.is_empty());
-        let Self { batch, tape, actors, parameters, remembered, .. } = self;
+        let Self { batch, tape, actors, parameters, remembered, operations, .. } = self;
         let mut t = tape.begin(if memory_unit.is_empty() {
-            network.parameters()
+            network.parameters
         } else {
             parameters.clear();
-            parameters.extend(network.parameters().iter().chain(memory_unit));
+            parameters.extend(network.parameters.iter().chain(memory_unit));
             &parameters[..]
         });
         let places = &mut Places::default();
@@ -161,6 +168,7 @@ impl Players {
             base = t.gru(base, places.gru(shape.base), &vec![true; actors.len()], remembered);
         }
         let utilities = layers.head(&mut t, base);
+        *operations += t.operations(false);
         let rows = t.values(utilities).chunks_exact(shape.actions);
         for ((scene, agent), utilities) in actors.iter().zip(rows) {
             each(*scene, *agent, utilities);
@@ -225,6 +233,7 @@ impl Players {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alma::agents::UtilityNetwork;
     use crate::alma::records::Config;
     use sortie_envs::Split;
     use sortie_learn::evaluate::Evaluation;
@@ -252,9 +261,9 @@ mod tests {
             let mut team = AllocatedTeam::new(agents, Box::new(RuleAllocator("heuristic")), 5);
             evaluate(&*city, &mut team, 40, 11).unwrap()
         };
-        let agents = Agents::new(&network);
+        let agents = Agents::new(network.view());
         let by_network = play(Box::new(NetworkAgents::new(agents, Conditioning::Mask)));
-        let by_policy = play(Box::new(PolicyAgents::new(NetworkPolicy::new(&network))));
+        let by_policy = play(Box::new(PolicyAgents::new(NetworkPolicy::new(network.view()))));
         assert_eq!(by_network, by_policy);
         assert!(by_network.length_mean > 10.0);
     }
@@ -267,7 +276,7 @@ mod tests {
         city.save(0, &mut state);
         let slots = city.spec().shape.agents;
         for (conditioning, told) in [(Conditioning::Mask, true), (Conditioning::None, false)] {
-            let agents = NetworkAgents::new(Agents::new(&network), conditioning);
+            let agents = NetworkAgents::new(Agents::new(network.view()), conditioning);
             let rule = Box::new(RuleAllocator("coordinated"));
             let mut team = AllocatedTeam::new(Box::new(agents), rule, 5);
             let scene = Scene { instance: 0, state: &state, begins: true, tasks_changed: false };

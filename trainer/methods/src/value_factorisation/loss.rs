@@ -117,7 +117,7 @@ impl Networks {
         taken.clear();
         (0..blocks).for_each(|_| taken.extend_from_slice(actions));
         let chosen = pass.pick(utilities, taken);
-        let mixed = self.mixer.mix(pass, before, chosen);
+        let mixed = self.mixer.mix(pass, before.teams(), chosen);
         let lambda = imagined.unwrap_or(0.0);
         let mut part = |values: Var, weight: f32| {
             let values = pass.gather(values, learnt);
@@ -164,7 +164,7 @@ impl Networks {
         self.forget(memory, after.slots(view));
         let utilities = self.agents.utilities(&mut values, after, view, memory);
         let chosen = values.pick(utilities, preferred);
-        let worth = self.mixer.mix(&mut values, after, chosen).real;
+        let worth = self.mixer.mix(&mut values, after.teams(), chosen).real;
         let worth = values.values(worth);
 
         let Lesson { rewards, discounts, next, learnt, targets, .. } = &mut **lesson;

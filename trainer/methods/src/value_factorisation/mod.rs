@@ -22,7 +22,7 @@ use sortie_learn::networks::{
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method, sections, words};
-use sortie_nn::layers::split_attention::WIDTHS;
+use sortie_nn::layers::split_attention::{HEADS, WIDTHS};
 
 pub use loss::{Lesson, Losses, NetworkShape, Networks};
 pub use method::ValueFactorisation;
@@ -195,7 +195,7 @@ impl Config {
         let MixerConfig { kind, hypernetworks, mixing, weights_sum } = self.mixer;
         let Shape { features: input, actions, .. } = spec.shape;
         let active_inputs = if active_inputs == 0 { input } else { active_inputs };
-        let looking = LookShape { input, active_inputs, width };
+        let looking = LookShape { input, active_inputs, width, heads: HEADS };
         NetworkShape {
             agent: AgentShape { looking, actions, skip, memory, targets: self.targets(spec) },
             mixer: MixerShape { kind, hypernetworks, weights_sum, looking, mixing },

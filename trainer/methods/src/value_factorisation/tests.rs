@@ -13,7 +13,7 @@ const PARTITIONS: [Partitions; 4] =
 const MIXERS: [MixerKind; 3] = [MixerKind::Sum, MixerKind::Linear, MixerKind::Qmix];
 
 fn shape(kind: MixerKind, skip: bool) -> NetworkShape {
-    let looking = LookShape { input: COLUMNS, active_inputs: 3, width: 16 };
+    let looking = LookShape { input: COLUMNS, active_inputs: 3, width: 16, heads: 4 };
     let (hypernetworks, weights_sum) = (Hypernetworks::Shared, WeightsSum::One);
     NetworkShape {
         agent: AgentShape { looking, actions: 4, skip, memory: 0, targets: Targets::default() },
@@ -115,7 +115,7 @@ fn loss(
     let memory = &mut vec![0.0; batch.slots(view) * networks.agents.shape.memory];
     let utilities = networks.agents.utilities(&mut pass, batch, view, memory);
     let chosen = pass.pick(utilities, &lesson.actions.repeat(blocks));
-    let mixed = networks.mixer.mix(&mut pass, batch, chosen);
+    let mixed = networks.mixer.mix(&mut pass, batch.teams(), chosen);
     let mean = |values| {
         let learnt = lesson.next.iter().zip(pass.values(values)).filter(|(next, _)| next.is_some());
         let errors = learnt.zip(targets).map(|((_, v), t)| f64::from(v - t).powi(2));

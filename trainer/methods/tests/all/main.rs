@@ -13,7 +13,6 @@ mod published;
 mod reference;
 mod sessions;
 mod setups;
-mod tape;
 mod training;
 mod value_factorisation;
 mod value_factorisation_golden;

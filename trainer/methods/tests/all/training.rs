@@ -120,7 +120,7 @@ fn a_stopped_and_resumed_run_ends_as_one_that_never_stopped() {
     let [resumed, whole] = [folder, whole].map(|folder| open_records(folder.path()));
     assert_eq!(resumed.method.agents.average, whole.method.agents.average);
     let [ours, theirs] = [&resumed, &whole].map(|run| run.method.allocator.as_ref().unwrap());
-    assert_eq!(ours.average, theirs.average);
+    assert_eq!(ours.learner.average, theirs.learner.average);
     assert_eq!(resumed.curve.len(), 4);
     for (resumed, whole) in resumed.curve.iter().zip(&whole.curve) {
         assert_eq!(resumed.success, whole.success);
@@ -265,8 +265,8 @@ fn a_run_can_begin_with_what_another_learned() {
     assert_eq!(trainer.run(&mut (), &stop).unwrap(), Outcome::Stopped);
     assert_eq!(trainer.env_steps(), 0);
     let begun = open_records(second.path()).method;
-    assert_eq!(begun.agents.average.utility, learned.agents.average.utility);
-    let [begun, learned] = [begun, learned].map(|method| method.allocator.unwrap().average);
+    assert_eq!(begun.agents.average, learned.agents.average);
+    let [begun, learned] = [begun, learned].map(|method| method.allocator.unwrap().learner.average);
     assert_eq!(begun, learned);
 
     let third = tempfile::tempdir().unwrap();

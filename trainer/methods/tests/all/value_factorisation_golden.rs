@@ -55,7 +55,7 @@ fn imagined_masks_are_the_recorded_ones() {
 fn agents_look_as_the_recorded_ones_do() {
     for case in json_cases("agent_ff_none") {
         let (input, width) = (9, 16);
-        let looking = LookShape { input, active_inputs: 9, width };
+        let looking = LookShape { input, active_inputs: 9, width, heads: 4 };
         let shape = AgentShape {
             looking,
             actions: width,
@@ -115,8 +115,12 @@ const STATES: usize = 8;
 const WIDTH: usize = 16;
 const MIXING: usize = 8;
 
-const LOOKING_SHAPE: LookShape =
-    LookShape { input: FEATURES + ACTIONS, active_inputs: FEATURES + ACTIONS, width: WIDTH };
+const LOOKING_SHAPE: LookShape = LookShape {
+    input: FEATURES + ACTIONS,
+    active_inputs: FEATURES + ACTIONS,
+    width: WIDTH,
+    heads: 4,
+};
 
 const SHAPE: NetworkShape = NetworkShape {
     agent: AgentShape {

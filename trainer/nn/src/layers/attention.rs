@@ -5,22 +5,27 @@
 //! A query that sees nothing gets a zero vector. Invisible entities are never touched, which is exact
 //! because their weight is zero.
 
+use std::ops::Range;
+
 use super::wide::{Work, run_widest};
 use sortie_core::internal::math::exp;
 
 use super::vectors::{add_scaled, dots, weighted_sum};
 
-/// For each query the rows that it sees.
+/// For each query the rows that it sees. A partition may split them into those within a part of it, which come first, and
+/// those across; without one all are within.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VisibleLists {
     /// Query i sees `rows[ends[i] .. ends[i + 1]]`; the first end is 0.
     ends: Vec<u32>,
+    /// Where in `rows` the rows across begin, per query.
+    splits: Vec<u32>,
     rows: Vec<u32>,
 }
 
 impl Default for VisibleLists {
     fn default() -> Self {
-        Self { ends: vec![0], rows: Vec::new() }
+        Self { ends: vec![0], splits: Vec::new(), rows: Vec::new() }
     }
 }
 
@@ -29,12 +34,14 @@ impl VisibleLists {
     #[inline]
     pub fn clear(&mut self) {
         self.ends.truncate(1);
+        self.splits.clear();
         self.rows.clear();
     }
 
     /// Becomes a copy of others, keeps the memory.
     pub fn copy_from(&mut self, other: &Self) {
         self.ends.clone_from(&other.ends);
+        self.splits.clone_from(&other.splits);
         self.rows.clone_from(&other.rows);
     }
 
@@ -47,13 +54,26 @@ impl VisibleLists {
     /// Closes the list of one query.
     #[inline]
     pub fn end_list(&mut self) {
+        self.splits.push(self.rows.len() as u32);
+        self.ends.push(self.rows.len() as u32);
+    }
+
+    /// Adds the list of one query: rows within its part, and across.
+    pub fn push_parts(
+        &mut self,
+        within: impl Iterator<Item = usize>,
+        across: impl Iterator<Item = usize>,
+    ) {
+        self.rows.extend(within.map(|row| row as u32));
+        self.splits.push(self.rows.len() as u32);
+        self.rows.extend(across.map(|row| row as u32));
         self.ends.push(self.rows.len() as u32);
     }
 
     /// Number of queries.
     #[inline]
     pub fn queries(&self) -> usize {
-        self.ends.len() - 1
+        self.splits.len()
     }
 
     /// Total length of all lists.
@@ -73,6 +93,22 @@ impl VisibleLists {
     pub(crate) fn span(&self, query: usize) -> (usize, &[u32]) {
         let (start, end) = (self.ends[query] as usize, self.ends[query + 1] as usize);
         (start, &self.rows[start..end])
+    }
+
+    /// The rows of all lists.
+    #[inline(always)]
+    pub(super) fn rows(&self) -> &[u32] {
+        &self.rows
+    }
+
+    /// The pairs of every query, and how many of them lie within.
+    #[inline(always)]
+    pub(super) fn spans(&self) -> impl Iterator<Item = (Range<usize>, usize)> {
+        let ends = self.ends.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
+        ends.zip(&self.splits).map(|(pairs, split)| {
+            let within = *split as usize - pairs.start;
+            (pairs, within)
+        })
     }
 }
 

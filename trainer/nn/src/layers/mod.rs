@@ -25,5 +25,4 @@ pub mod wide;
 
 pub use attention::VisibleLists;
 pub use sparse_linear::SparseRows;
-pub use split_attention::SplitLists;
 pub use team_attention::TeamLists;

@@ -6,11 +6,11 @@
 //! `share * within + (1 - share) * across`: exact, and no pair is looked at twice.
 
 use std::hint::black_box;
-use std::ops::Range;
 use std::slice::SliceIndex;
 
 use sortie_core::internal::math::exp;
 
+use super::attention::VisibleLists;
 use super::wide::{Work, run_widest};
 
 /// The queries' outputs, one behind the other: from everything and, with imagination, from within and
@@ -38,13 +38,13 @@ pub struct Forward<'a> {
 pub const WIDTHS: [usize; 4] = [16, 32, 64, 128];
 
 /// Attends, at a width of 16, 32, 64 or 128. There are as many blocks as `output` has room for.
-pub fn forward(width: usize, lists: &SplitLists, pass: Forward<'_>) {
+pub fn forward(width: usize, lists: &VisibleLists, pass: Forward<'_>) {
     run_widest(ForwardWork { width, lists, pass });
 }
 
 struct ForwardWork<'a> {
     width: usize,
-    lists: &'a SplitLists,
+    lists: &'a VisibleLists,
     pass: Forward<'a>,
 }
 
@@ -238,13 +238,13 @@ pub struct Backward<'a> {
 }
 
 /// Writes the gradients of queries, keys and values.
-pub fn backward(width: usize, lists: &SplitLists, pass: Backward<'_>) {
+pub fn backward(width: usize, lists: &VisibleLists, pass: Backward<'_>) {
     run_widest(BackwardWork { width, lists, pass });
 }
 
 struct BackwardWork<'a> {
     width: usize,
-    lists: &'a SplitLists,
+    lists: &'a VisibleLists,
     pass: Backward<'a>,
 }
 
@@ -351,74 +351,5 @@ impl<'a> Part<'a> {
         for (d_score, weight) in d_scores.as_flattened_mut().iter_mut().zip(weights) {
             *d_score *= weight;
         }
-    }
-}
-
-/// For each query the rows that it sees: those within its part of a partition, then those across.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SplitLists {
-    /// Query i sees `rows[ends[i] .. ends[i + 1]]`; the first end is 0.
-    ends: Vec<u32>,
-    /// Where in `rows` the rows across begin, per query.
-    splits: Vec<u32>,
-    rows: Vec<u32>,
-}
-
-impl Default for SplitLists {
-    fn default() -> Self {
-        Self { ends: vec![0], splits: Vec::new(), rows: Vec::new() }
-    }
-}
-
-impl SplitLists {
-    /// Forgets all lists, keeps the memory.
-    pub fn clear(&mut self) {
-        self.ends.truncate(1);
-        self.splits.clear();
-        self.rows.clear();
-    }
-
-    /// Adds the list of one query: rows within its part, and across. Without a partition all are within.
-    pub fn push(
-        &mut self,
-        within: impl Iterator<Item = usize>,
-        across: impl Iterator<Item = usize>,
-    ) {
-        self.rows.extend(within.map(|row| row as u32));
-        self.splits.push(self.rows.len() as u32);
-        self.rows.extend(across.map(|row| row as u32));
-        self.ends.push(self.rows.len() as u32);
-    }
-
-    /// Becomes a copy of others, keeps the memory.
-    pub fn copy_from(&mut self, other: &Self) {
-        self.ends.clone_from(&other.ends);
-        self.splits.clone_from(&other.splits);
-        self.rows.clone_from(&other.rows);
-    }
-
-    /// Number of queries.
-    pub fn queries(&self) -> usize {
-        self.splits.len()
-    }
-
-    #[inline(always)]
-    fn rows(&self) -> &[u32] {
-        &self.rows
-    }
-
-    /// Total length of all lists.
-    pub fn pairs(&self) -> usize {
-        self.rows.len()
-    }
-
-    /// The pairs of every query, and how many of them lie within.
-    #[inline(always)]
-    fn spans(&self) -> impl Iterator<Item = (Range<usize>, usize)> {
-        let ends = self.ends.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
-        ends.zip(&self.splits).map(|(pairs, split)| {
-            let within = *split as usize - pairs.start;
-            (pairs, within)
-        })
     }
 }

@@ -7,7 +7,7 @@ use super::backward::sized;
 use super::{Indices, Operation, Pass, Tape, Var};
 use crate::layers::matrix::Store;
 use crate::layers::split_attention::{self, BLOCKS, HEADS};
-use crate::layers::{SplitLists, elementwise};
+use crate::layers::{VisibleLists, elementwise};
 use sortie_core::internal::math::exp;
 
 impl Pass<'_> {
@@ -51,12 +51,12 @@ impl Pass<'_> {
         &mut self,
         queries: Var,
         keys_values: Var,
-        lists: &SplitLists,
+        lists: &VisibleLists,
         parts: bool,
     ) -> Var {
         let [count, width] = self.size(queries);
         assert_eq!((count, 2 * width), (lists.queries(), self.size(keys_values)[1]), "sizes");
-        let (place, kept) = self.tape.splits.next();
+        let (place, kept) = self.tape.lists.next();
         kept.copy_from(lists);
         let [pairs, shares] = [lists.pairs(), count].map(|rows| rows * HEADS);
         let start = self.tape.reserve(pairs + shares);
@@ -151,7 +151,7 @@ impl Tape {
         let ranges = inputs.map(|var| self.of(var).range());
         let stores = inputs.map(|var| self.slopes_of(var).map(|(_, store)| store));
         let at_place = stores == [Some(Store::Replace); 2];
-        let lists = &self.splits.things[lists];
+        let lists = &self.lists.things[lists];
         let [pairs, queries] = [lists.pairs(), lists.queries()].map(|rows| rows * HEADS);
         let lengths = ranges.clone().map(|range| if at_place { 0 } else { range.len() });
         let mut scratch = mem::take(&mut self.scratch);

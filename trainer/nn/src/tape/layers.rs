@@ -158,14 +158,19 @@ impl Pass<'_> {
     }
 
     /// `[pairs, heads]`: the weights of what each query sees, list behind list, of a matrix that is
-    /// [`attention`](Self::attention)'s.
+    /// [`attention`](Self::attention)'s or [`absorbed_attention`](Self::absorbed_attention)'s.
     pub fn attention_weights(&self, attended: Var) -> Option<&[f32]> {
-        let Operation::Attend { lists, weights, shape, .. } = self.tape.of(attended).operation
-        else {
-            return None;
-        };
-        let numbers = self.tape.lists.things[lists as usize].pairs() * shape.heads;
-        Some(&self.tape.values[weights as usize..][..numbers])
+        let pairs = |lists: u32| self.tape.lists.things[lists as usize].pairs();
+        match self.tape.of(attended).operation {
+            Operation::Attend { lists, weights, shape, .. } => {
+                Some(&self.tape.values[weights as usize..][..pairs(lists) * shape.heads])
+            }
+            Operation::Absorb { lists, pass, heads, .. } => {
+                let weights = self.tape.absorbed.things[pass as usize].weights();
+                Some(&weights[..pairs(lists) * heads as usize])
+            }
+            _ => None,
+        }
     }
 
     /// `[queries, 1]`: the sum of the squared scores of what each query sees, before they are scaled, over all heads.

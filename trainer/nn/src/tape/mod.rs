@@ -44,7 +44,7 @@ use crate::layers::gru::GruPass;
 use crate::layers::matrix::Store;
 use crate::layers::team_attention::Sums;
 use crate::layers::unfold::UnfoldShape;
-use crate::layers::{SparseRows, SplitLists, TeamLists, VisibleLists};
+use crate::layers::{SparseRows, TeamLists, VisibleLists};
 
 pub use parameters::{Gru, Linear, Norm, Parameters, Places, Tensor};
 
@@ -81,7 +81,6 @@ pub struct Tape {
     indices: Vec<u32>,
     lists: Pool<VisibleLists>,
     teams: Pool<TeamLists>,
-    splits: Pool<SplitLists>,
     sparse: Pool<SparseRows>,
     grus: Pool<GruPass>,
     absorbed: Pool<AbsorbedAttention>,
@@ -150,7 +149,6 @@ impl Tape {
         self.used = 0;
         (self.lists.used, self.teams.used, self.sparse.used) = (0, 0, 0);
         (self.grus.used, self.absorbed.used) = (0, 0);
-        self.splits.used = 0;
         Pass { tape: self, parameters }
     }
 

@@ -218,11 +218,11 @@ fn attention_goes_over_shared_keys_and_values() {
 }
 
 /// What four queries see among four rows, in two parts of which either or both may be empty: in lists, of all and of each part.
-fn parts() -> (SplitLists, [VisibleLists; 3]) {
+fn parts() -> (VisibleLists, [VisibleLists; 3]) {
     let seen: [[&[usize]; 2]; 4] = [[&[0, 1], &[2, 3]], [&[2], &[]], [&[], &[3, 1]], [&[], &[]]];
-    let (mut split, mut lists) = (SplitLists::default(), <[VisibleLists; 3]>::default());
+    let (mut split, mut lists) = (VisibleLists::default(), <[VisibleLists; 3]>::default());
     for [within, across] in seen {
-        split.push(within.iter().copied(), across.iter().copied());
+        split.push_parts(within.iter().copied(), across.iter().copied());
         for (list, rows) in lists.iter_mut().zip([&[within, across].concat(), within, across]) {
             rows.iter().for_each(|row| list.push(*row));
             list.end_list();

@@ -13,7 +13,7 @@ use sortie_methods::learners::windows::allocation::{
 use sortie_methods::learners::windows::low_level::{HYPERNETWORKS, LowLevelNetworks, Mixer};
 use sortie_methods::learners::windows::{PopArt, WindowShape, Windows};
 
-use super::super::program::{Comparison, Expected, Program, Tensors};
+use super::super::program::{Comparison, Expected, Program, Tensors, unclipped};
 use super::learning::Levels;
 
 const PROGRAM: &str = include_str!("../../../../../benches/published_step.py");
@@ -191,13 +191,6 @@ pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found,
     Ok(found)
 }
 
-/// The gradient with the norm that it had before it was clipped.
-fn unclipped(gradient: &[f32], norm: f32) -> Vec<f32> {
-    let now = gradient.iter().map(|slope| f64::from(*slope).powi(2)).sum::<f64>().sqrt();
-    let factor = (f64::from(norm) / now.max(f64::MIN_POSITIVE)) as f32;
-    gradient.iter().map(|slope| slope * factor).collect()
-}
-
 /// A gradient in the shape of its networks, or `None` where lengths differ.
 fn low_level_gradient(of: &LowLevelNetworks, gradient: &[f32]) -> Option<LowLevelNetworks> {
     let (agents, mixer) = gradient.split_at_checked(of.agents.parameters().len())?;
@@ -283,7 +276,7 @@ impl Tensors {
     }
 
     fn low_level(&mut self, of: &str, networks: &LowLevelNetworks) {
-        self.network(&format!("{of}.agents"), &networks.agents);
+        self.network(&format!("{of}.agents"), networks.agents.view());
         self.mixer(of, &networks.mixer);
     }
 

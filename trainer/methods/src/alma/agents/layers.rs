@@ -1,12 +1,48 @@
 //! The layers of agents on a tape: entities embedded and looked at, which coach and recognition begin with too, and the
 //! utility network behind them.
 
+use sortie_learn::networks::View;
 use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::layers::{SparseRows, VisibleLists};
 use sortie_nn::random::{Generator, signed_unit};
 use sortie_nn::tape::{Linear, Pass, Places, Var};
 
-use super::entity_attention::{UtilityInput, absorbs};
 use super::utility::UtilityShape;
+
+/// What the network looks at: the entities of any number of independent samples.
+///
+/// Query i belongs to row i: the rows of all acting agents come first, then the other entities.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct UtilityInput {
+    /// Features `[rows, D]` of every entity, last actions included.
+    pub rows: SparseRows,
+    /// For each acting agent the rows that it sees, its own among them where it is visible.
+    pub visible: VisibleLists,
+}
+
+impl UtilityInput {
+    /// Forgets all samples, keeps the memory.
+    pub fn clear(&mut self) {
+        self.rows.clear();
+        self.visible.clear();
+    }
+
+    /// The same as mixers look at it.
+    pub(super) fn view(&self) -> View<'_> {
+        View { rows: &self.rows, own: &[], lists: &self.visible, imagines: false }
+    }
+
+    /// Whether queries absorb their keys, because that takes fewer multiplications than keys and values.
+    ///
+    /// The products of whole matrices that keys and values allow are faster than the sums over pairs, so
+    /// pairs count twice.
+    fn absorbs(&self, shape: AttentionShape) -> bool {
+        let matrix = 2 * shape.width * shape.width;
+        let pair = 2 * shape.heads * shape.width;
+        let (rows, queries) = (self.rows.len(), self.visible.queries());
+        queries * matrix + 4 * self.visible.pairs() * pair < rows * matrix
+    }
+}
 
 /// What embeds entities and lets agents look at them (dissertation section 2.3).
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +73,7 @@ impl TrunkLayers {
         let entities = t.sparse_linear_rectified(&input.rows, self.fc1);
         let own = t.rows(entities, 0..visible.queries());
         let queries = t.linear(own, self.queries);
-        let attended = if absorbs(self.shape, input) {
+        let attended = if input.absorbs(self.shape) {
             t.absorbed_attention(queries, entities, self.keys_values, visible, heads)
         } else {
             let keys_values = t.linear(entities, self.keys_values);
@@ -72,17 +108,28 @@ impl UtilityLayers {
 
     /// What stands before the head, `[agents, R]`: there memories and strategies come in.
     pub fn base(self, t: &mut Pass<'_>, input: &UtilityInput) -> Var {
+        self.look(t, input)[1]
+    }
+
+    /// What each agent attends to, and what stands before the head.
+    pub(super) fn look(self, t: &mut Pass<'_>, input: &UtilityInput) -> [Var; 2] {
         let [attended, own] = self.trunk.attend(t, input);
         let looked = match self.skip {
             Some(skip) => t.linear_sum_rectified([attended, own], [self.out, skip]),
             None => t.linear_rectified(attended, self.out),
         };
-        t.linear_rectified(looked, self.fc2)
+        [attended, t.linear_rectified(looked, self.fc2)]
     }
 
-    /// The utilities `[agents, U]`.
+    /// The utilities `[agents, U]` of what stands before the head.
     pub fn head(self, t: &mut Pass<'_>, base: Var) -> Var {
         t.linear(base, self.head)
+    }
+
+    /// The utilities `[agents, U]` of agents without memories and strategies.
+    pub fn utilities(self, t: &mut Pass<'_>, input: &UtilityInput) -> Var {
+        let base = self.base(t, input);
+        self.head(t, base)
     }
 }
 

@@ -4,12 +4,15 @@
 //! section 7.3). Without the mask an agent sees everything.
 
 use sortie_envs::random::{below, member};
-use sortie_envs::{ActionSet, Observation, Shape, SparseRows, UNASSIGNED, members};
+use sortie_envs::{
+    ActionSet, AgentSet, EntitySet, Observation, Shape, SparseRows, UNASSIGNED, members,
+};
+use sortie_learn::networks::Teams;
 use sortie_learn::subtasks::NO_ACTION;
 use sortie_learn::words;
 use sortie_nn::random::Generator;
 
-use super::entity_attention::UtilityInput;
+use super::layers::UtilityInput;
 
 words! {
     /// How agents and mixer are conditioned on subtasks (dissertation section 7.3 and the comparisons of figure 7.4).
@@ -76,6 +79,10 @@ pub struct TeamBatch {
     others: SparseRows,
     /// Agents in all teams, and rows in `others`, up to each team's end.
     ends: Vec<(u32, u32)>,
+    /// The team of every agent that is in one.
+    numbers: Vec<u32>,
+    /// Agents of each team.
+    sizes: Vec<f32>,
 }
 
 impl TeamBatch {
@@ -89,6 +96,12 @@ impl TeamBatch {
         self.columns.unmarked() + self.conditioning.task_columns(tasks)
     }
 
+    /// As [`clear`](Self::clear), for teams that are conditioned on subtasks so.
+    pub fn clear_for(&mut self, conditioning: Conditioning, columns: Columns) {
+        self.conditioning = conditioning;
+        self.clear(columns);
+    }
+
     /// Forgets all teams, keeps the memory; rows have these columns from here on.
     pub fn clear(&mut self, columns: Columns) {
         self.columns = columns;
@@ -97,32 +110,34 @@ impl TeamBatch {
         self.ends.clear();
     }
 
-    /// Adds an agent, whose features are a row of `seen`, to the team that the next [`end_team`](Self::end_team) closes.
-    #[inline]
-    pub fn push_agent(&mut self, seen: &SparseRows, row: usize, last_action: u8, task: u8) {
-        let Self { conditioning, columns, input, .. } = self;
-        write_agent(&mut input.rows, *columns, (seen, row), last_action);
-        mark(*conditioning, *columns, &mut input.rows, task);
-        input.rows.end_row();
-    }
-
-    /// Adds an agent that this team sees, but that is not of it.
-    pub fn push_other(&mut self, seen: &SparseRows, row: usize, last_action: u8, task: u8) {
-        write_agent(&mut self.others, self.columns, (seen, row), last_action);
-        mark(self.conditioning, self.columns, &mut self.others, task);
-        self.others.end_row();
-    }
-
-    /// Adds a thing that this team sees.
-    #[inline]
-    pub fn push_thing(&mut self, seen: &SparseRows, row: usize, task: u8) {
-        self.others.push_row(seen, row);
-        mark(self.conditioning, self.columns, &mut self.others, task);
-        self.others.end_row();
-    }
-
-    /// Closes a team. Its agents see each other and what was pushed for them.
-    pub fn end_team(&mut self) {
+    /// Adds a team, whose agents see each other and the entities in sight, of all of whom `seen` has rows. The last action of
+    /// each agent, and the subtask of each entity, are told by their numbers.
+    pub fn push_team(
+        &mut self,
+        seen: &Observation,
+        (team, sight): (AgentSet, EntitySet),
+        last_action: impl Fn(usize) -> u8,
+        task: impl Fn(usize) -> u8,
+    ) {
+        let team = EntitySet::from(team);
+        for (row, entity) in members(seen.entities).enumerate() {
+            let rows = match (team >> entity & 1, sight >> entity & 1) {
+                (1, _) => &mut self.input.rows,
+                (_, 1) => &mut self.others,
+                _ => continue,
+            };
+            rows.push_row(&seen.rows, row);
+            let is_agent = entity < seen.observable.len();
+            let last_action = if is_agent { last_action(entity) } else { NO_ACTION };
+            if last_action != NO_ACTION {
+                rows.push(self.columns.features + usize::from(last_action), 1.0);
+            }
+            // A mark, where there are columns for that.
+            if self.conditioning == Conditioning::Input && task(entity) != UNASSIGNED {
+                rows.push(self.columns.unmarked() + usize::from(task(entity)), 1.0);
+            }
+            rows.end_row();
+        }
         self.ends.push((self.input.rows.len() as u32, self.others.len() as u32));
     }
 
@@ -135,57 +150,31 @@ impl TeamBatch {
         seen: &Observation,
         allocation: &[u8],
         last_actions: &[u8],
-        added: impl FnMut(usize),
-    ) {
-        if self.conditioning == Conditioning::Mask {
-            self.push_masked_teams(seen, allocation, last_actions, added);
-        } else {
-            self.push_everybody(seen, allocation, last_actions, added);
-        }
-    }
-
-    fn push_masked_teams(
-        &mut self,
-        seen: &Observation,
-        allocation: &[u8],
-        last_actions: &[u8],
         mut added: impl FnMut(usize),
     ) {
+        let last_action = |agent: usize| last_actions[agent];
+        if self.conditioning != Conditioning::Mask {
+            let task = |entity: usize| match allocation.get(entity) {
+                Some(task) if entity < seen.observable.len() => *task,
+                _ => seen.task_of(entity),
+            };
+            let everybody = (seen.present & !seen.things()) as AgentSet;
+            self.push_team(seen, (everybody, seen.present), last_action, task);
+            (0..seen.agents()).for_each(added);
+            return;
+        }
         for task in 0..seen.tasks() {
-            let rows = self.input.rows.len();
-            for agent in 0..seen.agents() {
-                if usize::from(allocation[agent]) == task {
-                    self.push_agent(&seen.rows, agent, last_actions[agent], task as u8);
-                    added(agent);
-                }
-            }
-            if self.input.rows.len() > rows {
-                for thing in members(seen.things_of(task)) {
-                    self.push_thing(&seen.rows, seen.row_of(thing), task as u8);
-                }
-                self.end_team();
+            let at = |agent: &usize| usize::from(allocation[*agent]) == task;
+            let team = (0..seen.agents()).filter(at);
+            let set = team.clone().fold(0, |set: AgentSet, agent| set | 1 << agent);
+            if set != 0 {
+                self.push_team(seen, (set, seen.things_of(task)), last_action, |_| task as u8);
+                team.for_each(&mut added);
             }
         }
     }
 
-    fn push_everybody(
-        &mut self,
-        seen: &Observation,
-        allocation: &[u8],
-        last_actions: &[u8],
-        mut added: impl FnMut(usize),
-    ) {
-        for agent in 0..seen.agents() {
-            self.push_agent(&seen.rows, agent, last_actions[agent], allocation[agent]);
-            added(agent);
-        }
-        for thing in members(seen.things()) {
-            self.push_thing(&seen.rows, seen.row_of(thing), seen.task_of(thing));
-        }
-        self.end_team();
-    }
-
-    /// Adds the agents of a state that are in no team, once all teams have been added.
+    /// Adds the agents of a state that are in no team, once all teams have been added: each sees nothing.
     pub fn push_unassigned(
         &mut self,
         seen: &Observation,
@@ -196,9 +185,10 @@ impl TeamBatch {
         if self.conditioning != Conditioning::Mask {
             return;
         }
-        for agent in 0..seen.agents() {
-            if usize::from(allocation[agent]) >= seen.tasks() {
-                self.push_agent(&seen.rows, agent, last_actions[agent], UNASSIGNED);
+        for (agent, task) in allocation.iter().enumerate().take(seen.agents()) {
+            if usize::from(*task) >= seen.tasks() {
+                self.push_team(seen, (1 << agent, 0), |agent| last_actions[agent], |_| UNASSIGNED);
+                self.ends.pop();
                 added(agent);
             }
         }
@@ -212,12 +202,15 @@ impl TeamBatch {
         let agents = rows.len();
         rows.append(&self.others);
         let (mut agent, mut other) = (0, agents);
-        for (agent_end, other_end) in &self.ends {
+        self.numbers.clear();
+        self.sizes.clear();
+        for (number, (agent_end, other_end)) in self.ends.iter().enumerate() {
             let members = agent..*agent_end as usize;
+            self.numbers.extend(members.clone().map(|_| number as u32));
+            self.sizes.push(members.len() as f32);
             let others = other..agents + *other_end as usize;
             for _ in members.clone() {
-                members.clone().chain(others.clone()).for_each(|row| visible.push(row));
-                visible.end_list();
+                visible.push_parts(members.clone().chain(others.clone()), std::iter::empty());
             }
             (agent, other) = (members.end, others.end);
         }
@@ -225,28 +218,14 @@ impl TeamBatch {
         &self.input
     }
 
+    /// The teams of a finished batch, of whose agents each is in one: what mixers mix.
+    pub fn teams(&self) -> Teams<'_> {
+        Teams { known: self.input.view(), numbers: &self.numbers, sizes: &self.sizes }
+    }
+
     /// The input as [`finish`](Self::finish) left it.
     pub fn input(&self) -> &UtilityInput {
         &self.input
-    }
-}
-
-fn write_agent(
-    rows: &mut SparseRows,
-    columns: Columns,
-    (seen, row): (&SparseRows, usize),
-    last_action: u8,
-) {
-    rows.push_row(seen, row);
-    if last_action != NO_ACTION {
-        rows.push(columns.features + usize::from(last_action), 1.0);
-    }
-}
-
-/// Marks a row with its subtask where there are columns for that.
-fn mark(conditioning: Conditioning, columns: Columns, rows: &mut SparseRows, task: u8) {
-    if conditioning == Conditioning::Input && task != UNASSIGNED {
-        rows.push(columns.unmarked() + usize::from(task), 1.0);
     }
 }
 
@@ -297,8 +276,6 @@ impl TaskOrder {
 
 #[cfg(test)]
 mod tests {
-    use sortie_envs::EntitySet;
-
     use super::*;
 
     const FEATURES: usize = 3;

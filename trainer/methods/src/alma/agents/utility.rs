@@ -6,16 +6,11 @@
 //! With a skip, `looked = relu(W_o o + b_o + W_s x)`, with `o` what the agent attends to and `x` its own
 //! embedding. The published network has no `W_s`: it sees its own row through attention only.
 
-use std::ops::Range;
-
 use serde::{Deserialize, Serialize};
 use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix};
-use sortie_learn::state;
 use sortie_nn::layers::attention::AttentionShape;
-use sortie_nn::layers::linear::LinearShape;
-use sortie_nn::random::{Generator, signed_unit};
-
-use super::entity_attention::{AttentionGradients, AttentionWeights};
+use sortie_nn::random::Generator;
+use sortie_nn::tape::{Parameters, Tensor};
 
 /// Sizes of a utility network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -46,69 +41,52 @@ impl UtilityShape {
         AttentionShape { width: self.width, heads: self.heads }
     }
 
-    pub(super) fn queries(self) -> LinearShape {
-        LinearShape { input: self.width, output: self.width }
-    }
-
-    pub(super) fn fc2(self) -> LinearShape {
-        LinearShape { input: self.width, output: self.base }
-    }
-
-    pub(super) fn head(self) -> LinearShape {
-        LinearShape { input: self.base, output: self.actions }
-    }
-
-    /// Where each tensor stands in the flat parameter vector.
+    /// The tensors, one behind the other. `fc1.weight` is `[input, width]`, all other matrices are `[out, in]`.
     pub fn tensors(self) -> Vec<Tensor> {
-        self.places().into_iter().filter(|tensor| !tensor.range.is_empty()).collect()
-    }
-
-    /// The same with an empty tensor in the place of a skip that is not there.
-    fn places(self) -> [Tensor; 10] {
         let Self { input, width, base, actions, skip, .. } = self;
-        let mut start = 0;
-        let mut next = |name, rows, columns| {
-            let range = start..start + rows * columns;
-            start = range.end;
-            Tensor { name, rows, columns, range }
-        };
-        [
-            next("fc1.weight", input, width),
-            next("fc1.bias", 1, width),
-            next("attention.in.weight", 3 * width, width),
-            next("attention.out.weight", width, width),
-            next("attention.out.bias", 1, width),
-            next("fc2.weight", base, width),
-            next("fc2.bias", 1, base),
-            next("head.weight", actions, base),
-            next("head.bias", 1, actions),
-            next("skip.weight", if skip { width } else { 0 }, width),
-        ]
+        let sizes = [
+            ("fc1.weight", [input, width]),
+            ("fc1.bias", [1, width]),
+            ("attention.in.weight", [3 * width, width]),
+            ("attention.out.weight", [width, width]),
+            ("attention.out.bias", [1, width]),
+            ("fc2.weight", [base, width]),
+            ("fc2.bias", [1, base]),
+            ("head.weight", [actions, base]),
+            ("head.bias", [1, actions]),
+            ("skip.weight", [width, width]),
+        ];
+        let mut end = 0;
+        let tensors = sizes.into_iter().take(if skip { 10 } else { 9 }).map(|(name, shape)| {
+            let start = end;
+            end += shape[0] * shape[1];
+            Tensor { name: name.to_owned(), shape: shape.to_vec(), range: start..end }
+        });
+        tensors.collect()
     }
 
     /// Number of parameters.
     pub fn parameters(self) -> usize {
-        self.places()[9].range.end
+        self.tensors().last().map_or(0, |last| last.range.end)
+    }
+
+    /// Adds a network's tensors, drawn uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
+    ///
+    /// For `fc1` the inputs count as `active_inputs`: its rows are one-hot codes with few non-zeros,
+    /// so that the full width would make the first activations too small.
+    pub fn draw(self, parameters: &mut Parameters, active_inputs: f32, random: &mut Generator) {
+        for tensor in self.tensors() {
+            let inputs = match &tensor.name[..3] {
+                "fc1" => active_inputs,
+                "hea" => self.base as f32,
+                _ => self.width as f32,
+            };
+            parameters.tensor(&tensor.name, &tensor.shape, 1.0 / inputs.sqrt(), random);
+        }
     }
 }
 
-/// One tensor in the flat parameter vector.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Tensor {
-    /// Its name in files.
-    pub name: &'static str,
-    /// Rows of the stored matrix; 1 for a bias.
-    pub rows: usize,
-    /// Columns of the stored matrix.
-    pub columns: usize,
-    /// Its place.
-    pub range: Range<usize>,
-}
-
-/// The network: its sizes and all parameters in one vector.
-///
-/// Optimiser, target network and weight average work on the vector; only the passes know tensors.
-/// `fc1.weight` is stored `[input, width]`, all other matrices `[out, in]`.
+/// The network: its sizes and all parameters in one vector, which optimisers work on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UtilityNetwork {
     shape: UtilityShape,
@@ -118,196 +96,60 @@ pub struct UtilityNetwork {
 flat_network!(UtilityNetwork, UtilityShape);
 
 impl UtilityNetwork {
-    /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
-    ///
-    /// For `fc1` the inputs count as `active_inputs`: its rows are one-hot codes with few non-zeros,
-    /// so that the full width would make the first activations too small.
+    /// Draws all weights and biases, see [`UtilityShape::draw`].
     pub fn initialise(shape: UtilityShape, active_inputs: f32, generator: &mut Generator) -> Self {
-        let mut parameters = vec![0.0; shape.parameters()];
-        let inputs = [active_inputs; 2]
-            .into_iter()
-            .chain([shape.width as f32; 5])
-            .chain([shape.base as f32; 2])
-            .chain([shape.width as f32]);
-        for (tensor, inputs) in shape.tensors().into_iter().zip(inputs) {
-            let bound = 1.0 / inputs.sqrt();
-            for value in &mut parameters[tensor.range] {
-                *value = bound * signed_unit(generator);
-            }
-        }
-        Self { shape, parameters }
+        let mut parameters = Parameters::default();
+        shape.draw(&mut parameters, active_inputs, generator);
+        Self { shape, parameters: parameters.values }
     }
 
-    /// The tensors in PyTorch's layout.
-    pub fn weights(&self) -> UtilityWeights {
-        let UtilityShape { input, width, .. } = self.shape;
-        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias, skip] =
-            self.shape.places().map(|tensor| self.parameters[tensor.range].to_vec());
-        UtilityWeights {
-            shape: self.shape,
-            fc1_weight: transpose(&fc1, input, width),
-            fc1_bias,
-            attention_in_weight: attention_in,
-            attention_out_weight: out,
-            attention_out_bias: out_bias,
-            fc2_weight: fc2,
-            fc2_bias,
-            head_weight: head,
-            head_bias,
-            skip_weight: skip,
-        }
+    /// The network, borrowed.
+    pub fn view(&self) -> UtilityView<'_> {
+        UtilityView { shape: self.shape, parameters: &self.parameters }
     }
+}
 
+/// A network whose parameters belong to somebody else.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UtilityView<'a> {
+    /// Its sizes.
+    pub shape: UtilityShape,
+    /// Its parameters; others may follow.
+    pub parameters: &'a [f32],
+}
+
+impl<'a> UtilityView<'a> {
     /// The layers, for export.
-    pub fn layers(&self) -> AttentionNetwork<'_> {
-        let UtilityShape { input, width, heads, base, actions, skip } = self.shape;
-        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias, past] =
-            self.shape.places().map(|tensor| &self.parameters[tensor.range]);
+    pub fn layers(self) -> AttentionNetwork<'a> {
+        let UtilityShape { input, width, heads, base, actions, .. } = self.shape;
+        let tensors = self.shape.tensors().into_iter();
+        let mut tensors = tensors.map(|tensor| &self.parameters[tensor.range]);
+        let mut next = || tensors.next().unwrap_or(&[]);
         let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
-        let layer = |values, bias| Layer { weight: matrix(values), bias };
+        let fc1 = Matrix { values: next(), layout: Layout::InputsFirst };
+        let fc1 = Layer { weight: fc1, bias: next() };
+        let attention_in = matrix(next());
+        let mut layer = || Layer { weight: matrix(next()), bias: next() };
         AttentionNetwork {
             inputs: input,
             width,
             heads,
             base,
             outputs: actions,
-            fc1: Layer {
-                weight: Matrix { values: fc1, layout: Layout::InputsFirst },
-                bias: fc1_bias,
-            },
-            attention_in: matrix(attention_in),
-            attention_out: layer(out, out_bias),
-            skip: skip.then(|| matrix(past)),
-            fc2: Some(layer(fc2, fc2_bias)),
-            head: layer(head, head_bias),
+            fc1,
+            attention_in,
+            attention_out: layer(),
+            fc2: Some(layer()),
+            head: layer(),
+            skip: tensors.next().map(matrix),
             pointing: None,
         }
     }
-
-    /// A network from tensors in PyTorch's layout, or `None` where a length does not fit the shape.
-    pub fn from_weights(weights: &UtilityWeights) -> Option<Self> {
-        let shape = weights.shape;
-        if weights.fc1_weight.len() != shape.input * shape.width {
-            return None;
-        }
-        let fc1 = transpose(&weights.fc1_weight, shape.width, shape.input);
-        let tensors = [
-            &fc1,
-            &weights.fc1_bias,
-            &weights.attention_in_weight,
-            &weights.attention_out_weight,
-            &weights.attention_out_bias,
-            &weights.fc2_weight,
-            &weights.fc2_bias,
-            &weights.head_weight,
-            &weights.head_bias,
-            &weights.skip_weight,
-        ];
-        let fits = |(tensor, place): (&&Vec<f32>, Tensor)| tensor.len() == place.range.len();
-        if !tensors.iter().zip(shape.places()).all(fits) {
-            return None;
-        }
-        Self::from_parameters(shape, tensors.into_iter().flatten().copied().collect())
-    }
-
-    pub(super) fn view(&self) -> UtilityView<'_> {
-        let width = self.shape.width;
-        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias, skip] =
-            self.shape.places().map(|tensor| &self.parameters[tensor.range]);
-        let (queries, keys_values) = attention_in.split_at(width * width);
-        UtilityView {
-            attention: AttentionWeights { fc1, fc1_bias, queries, keys_values },
-            out,
-            out_bias,
-            fc2,
-            fc2_bias,
-            head,
-            head_bias,
-            skip: self.shape.skip.then_some(skip),
-        }
-    }
-}
-
-/// The tensors of a network, borrowed.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct UtilityView<'a> {
-    pub(super) attention: AttentionWeights<'a>,
-    pub(super) out: &'a [f32],
-    pub(super) out_bias: &'a [f32],
-    pub(super) fc2: &'a [f32],
-    pub(super) fc2_bias: &'a [f32],
-    pub(super) head: &'a [f32],
-    pub(super) head_bias: &'a [f32],
-    pub(super) skip: Option<&'a [f32]>,
-}
-
-/// The tensors of a gradient vector, in the places of the parameters.
-#[derive(Debug)]
-pub(super) struct UtilityViewMut<'a> {
-    pub(super) attention: AttentionGradients<'a>,
-    pub(super) out: &'a mut [f32],
-    pub(super) out_bias: &'a mut [f32],
-    pub(super) fc2: &'a mut [f32],
-    pub(super) fc2_bias: &'a mut [f32],
-    pub(super) head: &'a mut [f32],
-    pub(super) head_bias: &'a mut [f32],
-    /// Empty where there is none.
-    pub(super) skip: &'a mut [f32],
-}
-
-impl<'a> UtilityViewMut<'a> {
-    pub(super) fn new(shape: UtilityShape, vector: &'a mut [f32]) -> Self {
-        let width = shape.width;
-        let mut rest = vector;
-        let mut take = |count: usize| rest.split_off_mut(..count).expect("one place per parameter");
-        let [fc1, fc1_bias, attention_in, out, out_bias, fc2, fc2_bias, head, head_bias, skip] =
-            shape.places().map(|tensor| take(tensor.range.len()));
-        let (queries, keys_values) = attention_in.split_at_mut(width * width);
-        let attention = AttentionGradients { fc1, fc1_bias, queries, keys_values };
-        Self { attention, out, out_bias, fc2, fc2_bias, head, head_bias, skip }
-    }
-}
-
-/// All tensors in PyTorch's layout: matrices `[out, in]`, row-major.
-#[derive(Clone, Debug, PartialEq)]
-pub struct UtilityWeights {
-    /// The sizes D, E, heads, R, U.
-    pub shape: UtilityShape,
-    /// `[E, D]`
-    pub fc1_weight: Vec<f32>,
-    /// `[E]`
-    pub fc1_bias: Vec<f32>,
-    /// `[3 E, E]`: query, key, value; no bias.
-    pub attention_in_weight: Vec<f32>,
-    /// `[E, E]`
-    pub attention_out_weight: Vec<f32>,
-    /// `[E]`
-    pub attention_out_bias: Vec<f32>,
-    /// `[R, E]`
-    pub fc2_weight: Vec<f32>,
-    /// `[R]`
-    pub fc2_bias: Vec<f32>,
-    /// `[U, R]`
-    pub head_weight: Vec<f32>,
-    /// `[U]`
-    pub head_bias: Vec<f32>,
-    /// `[E, E]`; empty without a skip.
-    pub skip_weight: Vec<f32>,
 }
 
 /// The transpose of a row-major matrix.
-pub(crate) fn transpose(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+pub fn transpose(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     (0..columns).flat_map(|j| (0..rows).map(move |i| matrix[i * columns + j])).collect()
-}
-
-/// The tensors of a network of this shape, as checkpoints have them.
-pub(crate) fn tensors(shape: UtilityShape) -> Vec<state::Tensor> {
-    let tensor = |tensor: super::Tensor| state::Tensor {
-        name: tensor.name.to_owned(),
-        shape: vec![tensor.rows, tensor.columns],
-        range: tensor.range,
-    };
-    shape.tensors().into_iter().map(tensor).collect()
 }
 
 #[cfg(test)]
@@ -326,8 +168,9 @@ mod tests {
 
     #[test]
     fn a_skip_stands_last_and_moves_nothing() {
-        let names =
-            |shape: UtilityShape| shape.tensors().iter().map(|t| t.name).collect::<Vec<_>>();
+        let names = |shape: UtilityShape| {
+            shape.tensors().into_iter().map(|tensor| tensor.name).collect::<Vec<_>>()
+        };
         assert_eq!(names(SHAPE).len(), 9);
         assert_eq!(names(SKIPPING)[..9], names(SHAPE));
         assert_eq!(names(SKIPPING)[9..], ["skip.weight"]);
@@ -337,17 +180,6 @@ mod tests {
         assert_eq!(skip.len(), 16);
         assert!(skip.iter().all(|weight| weight.abs() <= 0.5));
         assert!(skip.iter().any(|weight| weight.abs() > 0.3), "{skip:?}");
-    }
-
-    #[test]
-    fn weights_become_the_network_that_they_come_from() {
-        for shape in [SHAPE, SKIPPING] {
-            let network = drawn(shape);
-            let mut weights = network.weights();
-            assert_eq!(UtilityNetwork::from_weights(&weights), Some(network));
-            weights.shape.skip = !shape.skip;
-            assert_eq!(UtilityNetwork::from_weights(&weights), None);
-        }
     }
 
     #[test]

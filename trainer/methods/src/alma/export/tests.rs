@@ -15,7 +15,7 @@ fn export(relations: usize) -> Result<Vec<u8>, ExportError> {
     let weights = generator(7, Purpose::Weights, 0);
     let network = UtilityNetwork::initialise(shape, 8.0, &mut { weights });
     let (features, contract) = (FEATURES, 0x0123_4567_89ab_cdef);
-    let layers = network.layers();
+    let layers = network.view().layers();
     team_value_onnx(&TeamValueExport { features, relations, contract, layers })
 }
 

@@ -3,10 +3,10 @@
 use sortie_envs::Spec;
 use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Text, Truth, Whole};
 use sortie_learn::configuration::{OPTIMISER, SHARE, STEPS, exploration, require};
+use sortie_learn::networks::MixerKind;
 use sortie_learn::session::{EnvironmentChoice, Setup};
 use sortie_learn::{LearnError, section, sections};
 
-use super::mixer::{MixerKind, MixerShape};
 use crate::alma::agents::{Columns, Conditioning, UtilityShape};
 
 pub use sortie_learn::configuration::{ExplorationConfig, OptimiserConfig};
@@ -206,6 +206,14 @@ impl Config {
             self.mixer.width.is_multiple_of(self.mixer.heads),
             "`mixer.width` must be a multiple of `mixer.heads`",
         )?;
+        let (steps, instances) = (self.returns.steps as usize, self.environment.instances);
+        let least = 4 * steps * instances;
+        require(
+            self.replay.capacity > least,
+            &format!(
+                "`replay.capacity` must be more than {least}, four times `returns.steps` for each instance"
+            ),
+        )?;
         self.replay.check("replay")?;
         self.allocator.network.check("allocator.network")?;
         self.allocator.replay.check("allocator.replay")
@@ -280,12 +288,6 @@ impl AgentNetworkConfig {
 }
 
 impl MixerConfig {
-    /// The mixer's shape for entities of so many input columns.
-    pub fn shape(&self, input: usize) -> MixerShape {
-        let Self { kind, width, heads, mixing, .. } = *self;
-        MixerShape { kind, input, width, heads, mixing }
-    }
-
     /// What rewards are multiplied by.
     pub fn reward_factor(&self) -> f32 {
         if self.kind == MixerKind::Qmix { self.reward_scale } else { 1.0 }

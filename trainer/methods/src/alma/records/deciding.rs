@@ -2,22 +2,21 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::random::{below, chance, member, unit};
-use sortie_envs::{DecisionPoints, Observation, Spec, UNASSIGNED, members};
+use sortie_envs::{DecisionPoints, Environment, Observation, Spec, Step, UNASSIGNED, members};
+use sortie_learn::subtasks::{NO_ACTION, RuleAllocator};
+use sortie_learn::{LearnError, Transition};
 use sortie_nn::random::Generator;
 
 use super::config::{AllocatorConfig, Config, LEARNED};
-use super::history::Reached;
-use super::team_value::{Decision, Segment, Segments, TeamSearch};
-use crate::alma::agents::UtilityNetwork;
-use sortie_learn::LearnError;
-use sortie_learn::subtasks::RuleAllocator;
+use super::replay::Moment;
+use super::team_value::{Segments, TeamSearch};
+use crate::alma::agents::UtilityView;
 
 /// The first rules of an environment stand in for an allocator that has not begun to decide, so many of them.
 const STAND_INS: usize = 2;
 
 /// Who allocates in an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(from = "u8", into = "u8")]
 pub(super) enum Allocation {
     /// The allocator of the run.
     Learned,
@@ -35,41 +34,36 @@ impl Allocation {
     }
 }
 
-// As a number: what checkpoints say, also older ones.
-impl From<u8> for Allocation {
-    fn from(number: u8) -> Self {
-        number.checked_sub(1).map_or(Self::Learned, Self::Rule)
-    }
-}
-
-impl From<Allocation> for u8 {
-    fn from(allocation: Allocation) -> Self {
-        match allocation {
-            Allocation::Learned => 0,
-            Allocation::Rule(number) => number + 1,
-        }
-    }
-}
-
 /// What one episode remembers between its decisions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Decisions {
+    instance: usize,
     allocation_by: Allocation,
     /// The rule that decides while the learned allocator learns but does not decide.
     stand_in: Allocation,
     points: DecisionPoints,
-    tasks_changed: bool,
     pub(super) allocation: Vec<u8>,
     segment: Option<Segment>,
 }
 
+/// The steps since a decision that the allocator learns from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Segment {
+    /// The state and what was decided, as a [`Moment`]'s bytes.
+    decision: Vec<u8>,
+    /// Discounted sum `[T]` of each task's rewards since.
+    rewards: Vec<f64>,
+    /// Discount of what follows, a power of the discount of a step.
+    discount: f32,
+}
+
 impl Decisions {
-    pub(super) fn new(interval: u32, agents: usize) -> Self {
+    pub(super) fn new(instance: usize, interval: u32, agents: usize) -> Self {
         Self {
+            instance,
             allocation_by: Allocation::Learned,
             stand_in: Allocation::Rule(0),
             points: DecisionPoints::every(interval),
-            tasks_changed: false,
             allocation: vec![UNASSIGNED; agents],
             segment: None,
         }
@@ -80,42 +74,74 @@ impl Decisions {
         self.allocation_by = draw(&deciding.allocators, generator);
         self.stand_in = Allocation::Rule(below(generator, deciding.stand_ins) as u8);
         self.points.restart();
-        self.tasks_changed = false;
         self.segment = None;
     }
 
-    /// Notes what a step earned and whether it changed the open tasks.
-    pub(super) fn reward(&mut self, discount: f32, task_rewards: &[f64], tasks_changed: bool) {
-        self.tasks_changed = tasks_changed;
-        if let Some(segment) = &mut self.segment {
-            for (sum, reward) in segment.rewards.iter_mut().zip(task_rewards) {
-                *sum += segment.discount * *reward as f32;
-            }
-            segment.discount *= discount;
+    /// Notes what a step earned, and ends the segment where it ended the episode.
+    pub(super) fn remember(
+        &mut self,
+        transition: &Transition<'_>,
+        discount: f32,
+        segments: Option<&mut Segments>,
+    ) {
+        let Some(segment) = &mut self.segment else { return };
+        for (sum, reward) in segment.rewards.iter_mut().zip(transition.task_rewards) {
+            *sum += f64::from(segment.discount) * *reward;
         }
-    }
-
-    /// Ends the episode. After a time-out nobody decides, so that there is no next team to value.
-    pub(super) fn end(&mut self, timed_out: bool, segments: Option<&mut Segments>) {
-        if let (Some(segment), Some(segments), false) = (self.segment.take(), segments, timed_out) {
-            segments.push(Segment { discount: 0.0, ..segment });
+        segment.discount *= discount;
+        if transition.step.done()
+            && let (Some(segment), Some(segments)) = (self.segment.take(), segments)
+        {
+            self.keep(transition.environment, segment, transition.step, segments);
         }
     }
 
     /// Ends the segment of the decision before and begins that of the one just made.
-    fn begin_segment(&mut self, (state, seen): (&[u8], &Observation), segments: &mut Segments) {
-        let decision = Decision::new(state, &self.allocation[..seen.agents()]);
-        if let Some(mut segment) = self.segment.take() {
-            segment.next = decision.clone();
-            segments.push(segment);
+    fn begin_segment(
+        &mut self,
+        environment: &dyn Environment,
+        state: &[u8],
+        segments: &mut Segments,
+    ) {
+        if let Some(segment) = self.segment.take() {
+            self.keep(environment, segment, Step::default(), segments);
         }
-        self.segment = Some(Segment {
-            rewards: vec![0.0; seen.tasks()],
-            discount: 1.0,
-            next: decision.clone(),
-            now: decision,
-        });
+        let none = &vec![NO_ACTION; self.allocation.len()];
+        let allocation = &self.allocation;
+        let decision = Moment { state, allocation, last_actions: none, actions: none }.bytes();
+        let rewards = vec![0.0; environment.spec().shape.tasks];
+        self.segment = Some(Segment { decision, rewards, discount: 1.0 });
     }
+
+    fn keep(
+        &self,
+        environment: &dyn Environment,
+        segment: Segment,
+        step: Step,
+        segments: &mut Segments,
+    ) {
+        let kept = Transition {
+            environment,
+            instance: self.instance,
+            state: &segment.decision,
+            actions: &[],
+            step,
+            task_rewards: &segment.rewards,
+            agent_rewards: &[],
+            next: &[],
+        };
+        segments.push_noted(&kept, segment.discount);
+    }
+}
+
+/// A state that an episode has come to.
+#[derive(Clone, Copy)]
+pub(super) struct Reached<'a> {
+    pub(super) environment: &'a dyn Environment,
+    pub(super) state: &'a [u8],
+    pub(super) seen: &'a Observation,
+    /// Whether the step that led there changed the open tasks.
+    pub(super) tasks_changed: bool,
 }
 
 #[derive(Debug)]
@@ -133,7 +159,7 @@ pub(super) struct Deciding {
 impl Deciding {
     pub(super) fn new(config: &Config, spec: &Spec) -> Self {
         let (allocation, allocator) = (&config.allocation, config.allocator.clone());
-        let search = TeamSearch::new(allocator.shape(spec), allocation.team_max);
+        let search = TeamSearch::new(allocation.team_max);
         // Rules that the environment does not have are of no weight.
         let by_number = |(name, weight): (&str, f64)| {
             let rule =
@@ -166,16 +192,16 @@ impl Deciding {
     pub(super) fn decide(
         &mut self,
         episode: &mut Decisions,
-        (now, seen): (Reached<'_>, &Observation),
+        at: Reached<'_>,
         generator: &mut Generator,
-        network: Option<&UtilityNetwork>,
+        network: Option<UtilityView<'_>>,
         segments: Option<&mut Segments>,
     ) -> Result<bool, LearnError> {
-        if !episode.points.is_due(episode.tasks_changed) {
+        let Reached { environment, state, seen, tasks_changed } = at;
+        if !episode.points.is_due(tasks_changed) {
             return Ok(false);
         }
         let learns = segments.is_some();
-        let Reached { environment, state, .. } = now;
         let allocation = &mut episode.allocation;
         match (episode.allocation_by, network) {
             (Allocation::Learned, Some(network)) => {
@@ -191,7 +217,7 @@ impl Deciding {
             move_some(seen, self.allocator.moved, self.team_max, generator, allocation);
         }
         if let Some(segments) = segments {
-            episode.begin_segment((state, seen), segments);
+            episode.begin_segment(environment, state, segments);
         }
         Ok(true)
     }
@@ -233,140 +259,4 @@ fn draw(weights: &[(Allocation, f64)], generator: &mut Generator) -> Allocation 
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::alma::records::toy::{AGENTS, Street, toy};
-    use sortie_envs::{Environment, Rule};
-    use sortie_learn::random::{Purpose, generator};
-
-    /// The rules of the toy: everybody to the last site, to the nearest, or to the first.
-    const LAST: Allocation = Allocation::Rule(0);
-    const NEAREST: Allocation = Allocation::Rule(1);
-
-    fn deciding(change: fn(&mut Config)) -> Deciding {
-        let mut config = Config::default();
-        change(&mut config);
-        Deciding::new(&config, toy().spec())
-    }
-
-    #[test]
-    fn allocators_are_drawn_by_their_weights() {
-        let deciding = deciding(|config| config.allocation.heuristic = 3.0);
-        let mut random = generator(1, Purpose::Rollout, 0);
-        let drawn: Vec<_> = (0..4000).map(|_| draw(&deciding.allocators, &mut random)).collect();
-        let share = |who| drawn.iter().filter(|drawn| **drawn == who).count() as f64 / 4000.0;
-        assert!((share(Allocation::Learned) - 0.25).abs() < 0.03);
-        assert!((share(NEAREST) - 0.75).abs() < 0.03);
-    }
-
-    #[test]
-    fn who_learns_decides_or_is_stood_in_for_and_nothing_else_is_tried_out() {
-        let (environment, street) = (toy(), Street::new(6, &[3, 4, 14]));
-        let (state, seen) = (street.bytes(), street.seen());
-        let mut random = generator(1, Purpose::Rollout, 0);
-        let mut by = |rule: Allocation| {
-            let mut allocation = vec![UNASSIGNED; AGENTS];
-            environment.allocate(rule.rule(), &state, &mut random, &mut allocation);
-            allocation
-        };
-        let [last, nearest] = [LAST, NEAREST].map(&mut by);
-        assert_ne!(last, nearest);
-        let decided = |allocation_by, learns: bool, moved_decisions| {
-            let mut config = Config::default();
-            (config.allocator.moved, config.allocator.moved_decisions) = (1.0, moved_decisions);
-            let stand_in = NEAREST;
-            let mut episode = Decisions { allocation_by, stand_in, ..Decisions::new(5, AGENTS) };
-            let (mut random, mut segments) = (generator(1, Purpose::Rollout, 0), Segments::new(10));
-            let segments = learns.then_some(&mut segments);
-            let now = (Reached { environment: &environment, state: &state, number: 0 }, &seen);
-            let mut deciding = Deciding::new(&config, environment.spec());
-            assert!(deciding.decide(&mut episode, now, &mut random, None, segments).unwrap());
-            episode.allocation
-        };
-        assert_eq!(decided(Allocation::Learned, true, 0.0), nearest, "the episode's stand-in");
-        assert_ne!(decided(Allocation::Learned, true, 1.0), nearest, "and agents are moved");
-        assert_eq!(decided(Allocation::Learned, false, 1.0), last, "nobody learns");
-        assert_eq!(decided(NEAREST, true, 1.0), nearest, "a rule is not explored");
-    }
-
-    #[test]
-    fn an_episode_is_decided_by_whom_the_run_asks_for() {
-        let by = |change| {
-            let mut episode = Decisions::new(5, 1);
-            episode.restart(&deciding(change), &mut generator(1, Purpose::Rollout, 0));
-            episode.allocation_by
-        };
-        let heuristic = |config: &mut Config| {
-            (config.allocation.learned, config.allocation.heuristic) = (0.0, 1.0);
-        };
-        assert_eq!(by(heuristic), NEAREST);
-        assert_eq!(by(|config| config.allocation.rule = "coordinated".to_owned()), LAST);
-    }
-
-    /// The first two rules whatever they are called; of one rule that alone.
-    #[test]
-    fn the_first_rules_stand_in() {
-        let stand_ins = |names: &'static [&'static str]| {
-            let rules = names.iter().map(|name| Rule { name, about: "" }).collect::<Vec<_>>();
-            let spec = Spec { rules: rules.leak(), ..toy().spec().clone() };
-            let deciding = Deciding::new(&Config::default(), &spec);
-            let mut episode = Decisions::new(5, 1);
-            let mut random = generator(1, Purpose::Rollout, 0);
-            let drawn = (0..50).map(|_| {
-                episode.restart(&deciding, &mut random);
-                assert_eq!(episode.allocation_by, Allocation::Learned);
-                episode.stand_in.rule()
-            });
-            drawn.collect::<std::collections::BTreeSet<_>>()
-        };
-        assert!(stand_ins(&["dynamic", "matching", "random"]).into_iter().eq([0, 1]));
-        assert!(stand_ins(&["dynamic"]).into_iter().eq([0]));
-    }
-
-    #[test]
-    fn a_share_of_the_agents_moves_to_open_sites_with_room() {
-        let mut random = generator(1, Purpose::Rollout, 0);
-        // Of so many times eight agents who are all at the second site.
-        let mut moved = |share, team_max, sites: &[(u8, bool)], times| {
-            let seen = Street { sites: sites.to_vec(), ..Street::new(8, &[]) }.seen();
-            let mut counts = [0; 3];
-            for _ in 0..times {
-                let mut allocation = vec![1; AGENTS];
-                move_some(&seen, share, team_max, &mut random, &mut allocation);
-                allocation.iter().for_each(|task| counts[usize::from(*task)] += 1);
-            }
-            counts
-        };
-        let sites = [(1, true), (5, false), (9, true)];
-        assert_eq!(moved(0.0, 8, &sites, 1), [0, 8, 0]);
-        assert_eq!(moved(1.0, 8, &sites[1..2], 1), [0, 8, 0], "nothing is open");
-        assert_eq!(moved(1.0, 3, &sites, 1), [3, 2, 3], "a team of three is full");
-        let [first, _, second]: [i32; 3] = moved(0.25, 8, &sites, 125);
-        assert!(first.abs_diff(125) < 40 && second.abs_diff(125) < 40, "{first}, {second}");
-    }
-
-    #[test]
-    fn rewards_of_a_segment_are_discounted_step_by_step() {
-        let street = Street::new(1, &[3, 9]);
-        let (state, seen) = (street.bytes(), street.seen());
-        let now = (&state[..], &seen);
-        let mut segments = Segments::new(10);
-        let mut episode = Decisions::new(5, 1);
-        episode.allocation = vec![1];
-        episode.begin_segment(now, &mut segments);
-        for (first, second) in [(1.0, 0.0), (2.0, 8.0), (4.0, 16.0)] {
-            episode.reward(0.5, &[first, second], false);
-        }
-        episode.allocation = vec![0];
-        episode.begin_segment(now, &mut segments);
-        let segment = segments.get(0);
-        assert_eq!(segment.rewards, [1.0 + 0.5 * 2.0 + 0.25 * 4.0, 0.5 * 8.0 + 0.25 * 16.0]);
-        assert_eq!(segment.discount, 0.125);
-        assert_eq!([&segment.now, &segment.next].map(|decision| decision.allocation[0]), [1, 0]);
-
-        episode.reward(0.5, &[3.0, 5.0], true);
-        episode.end(false, Some(&mut segments));
-        let last = segments.get(1);
-        assert_eq!((&last.rewards[..], last.discount), (&[3.0, 5.0][..], 0.0));
-    }
-}
+mod tests;

@@ -1,35 +1,75 @@
 //! Learning from records as a [`Method`].
 
 use std::path::Path;
-use std::sync::Arc;
 
+use rand_core::Rng;
 use serde::{Deserialize, Serialize};
-use sortie_envs::{Environment, Random};
+use sortie_envs::random::below;
+use sortie_envs::{Environment, Observation, Random, Spec};
 use sortie_learn::export::{DeployedAgents, Words};
+use sortie_learn::learner::Rules;
 use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::{Level, Rates, Reports};
+use sortie_learn::run::{Level, Rates, Reports, UpdateReport};
 use sortie_learn::subtasks::{
     Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, RuleAllocator, Subtasks,
 };
-use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
-use sortie_nn::random::Generator;
-use sortie_nn::workers::Workers;
+use sortie_learn::trajectory::{Capacity, Place, Widths};
+use sortie_learn::{
+    Act, LearnError, Learner, Method, Now, Scenes, State, Trajectories, Transition,
+};
 
-use super::config::{Config, LEARNED};
-use super::history::Returns;
-use super::learner::{Knowledge, Learner, Loss, MixedNetwork, Observer};
-use super::mixer::Mixer;
+use super::config::{AllocatorConfig, Config, LEARNED, OptimiserConfig};
+use super::lesson::{Drawn, Experience, Lesson, Networks, SAMPLES};
 use super::replay::Replay;
-use super::rollout::{Behaviour, Memory, Rollout};
-use super::team_value::{Segments, TeamValueAllocator, TeamValueLoss};
-use super::temporal_difference::Chunk;
-use crate::alma::agents::{UtilityNetwork, tensors};
+use super::rollout::{Behaviour, Rollout};
+use super::team_value::{
+    DrawnSegment, SEGMENTS, Segments, TeamLesson, TeamValueAllocator, TeamValues,
+};
+use crate::alma::agents::{UtilityShape, UtilityView};
 use crate::alma::export;
-use crate::alma::learned::Learned;
+use crate::alma::learned::{Learned, measured};
 use crate::alma::teams::{Agents, NetworkAgents};
 
 /// Tells the allocator's streams of random numbers from the agents'.
 const ALLOCATOR_STREAM: u64 = 1;
+
+/// Agents, and where the run learns one, their allocator.
+#[derive(Debug)]
+pub struct Records {
+    config: Config,
+    spec: Spec,
+    networks: Networks,
+    /// The agents.
+    pub agents: Learner<Lesson>,
+    /// What they learn from.
+    pub replay: Replay,
+    /// There is one if the run learns an allocator.
+    pub allocator: Option<Allocator>,
+    /// Acts.
+    pub rollout: Rollout,
+    /// What the agents draw their samples with.
+    random: Random,
+    due: Due,
+    /// Decisions that were not reported yet.
+    decisions: u64,
+    /// Whether the allocator learns from the steps that are being taken.
+    keeps_segments: bool,
+    samples: Vec<(Place, u8)>,
+    drawn: Vec<Drawn>,
+}
+
+/// The level that allocates, and what it has seen.
+#[derive(Debug)]
+pub struct Allocator {
+    values: TeamValues,
+    /// Its networks.
+    pub learner: Learner<TeamLesson>,
+    /// What it learns from.
+    pub segments: Segments,
+    random: Random,
+    drawn: Vec<DrawnSegment>,
+    seen: Observation,
+}
 
 /// When each level makes its next update, in environment steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,87 +95,86 @@ impl Due {
     }
 }
 
-/// Agents, and where the run learns one, their allocator.
-#[derive(Debug)]
-pub struct Records {
-    config: Config,
-    /// The agents.
-    pub agents: Learner<Chunk>,
-    /// There is one if the run learns an allocator.
-    pub allocator: Option<Learner<TeamValueLoss>>,
-    observer: Observer,
-    workers: Workers,
-    /// Acts, and cuts what happens into records.
-    pub rollout: Rollout,
-    /// What each level draws its samples with.
-    picks: Level<Generator>,
-    due: Due,
-    /// Decisions that were not reported yet.
-    decisions: u64,
-    /// Whether the allocator learns from the steps that are being taken.
-    keeps_segments: bool,
+/// What updates do; the averaged weights begin as a plain mean.
+fn rules(optimiser: &OptimiserConfig) -> Rules {
+    Rules { mean_first: true, ..Rules::from(optimiser) }
 }
 
 impl Records {
     /// Draws the first weights, for an environment.
     pub fn new(config: &Config, environment: &dyn Environment, seed: u64, threads: usize) -> Self {
-        let observer = Observer::of(environment);
-        let agents = agents_learner(config, &observer, seed);
-        let learns = config.learns_allocator();
-        let allocator = learns.then(|| allocator_learner(config, &observer, seed));
-        let (act, allocate) = (agents.job(), allocator.as_ref().map(Learner::job));
-        let job = Arc::new(move || {
-            act();
-            allocate.iter().for_each(|allocate| allocate());
-        });
+        let spec = environment.spec();
+        let mut weights = generator(seed, Purpose::Weights, 0);
+        let (networks, parameters) = Networks::new(config, spec, &mut weights);
+        let instances = config.environment.instances;
+        let allocator = || Allocator::new(&config.allocator, (spec, instances), seed, threads);
         Self {
-            rollout: Rollout::new(config, environment.spec()),
-            observer,
-            workers: Workers::new(threads, job),
-            agents,
-            allocator,
-            picks: Level {
-                agents: generator(seed, Purpose::Replay, 0),
-                allocator: generator(seed, Purpose::Replay, ALLOCATOR_STREAM),
-            },
+            agents: Learner::new(parameters, rules(&config.optimiser), threads),
+            networks,
+            replay: Replay::new(config, spec),
+            allocator: config.learns_allocator().then(allocator),
+            rollout: Rollout::new(config, spec),
+            random: generator(seed, Purpose::Replay, 0),
             due: Due::default(),
             decisions: 0,
             keeps_segments: false,
+            samples: Vec::new(),
+            drawn: Vec::new(),
+            spec: spec.clone(),
             config: config.clone(),
         }
     }
 
-    /// One update of each level that is due and has enough to learn from, both at the same time.
-    fn update_once(&mut self, now: Now, reports: &mut Reports) {
-        let Self { config, agents, allocator, picks, .. } = self;
-        let due = self.due.take(now.env_steps, config);
-        let learn_agents = due.agents && agents.is_warm();
-        if learn_agents {
-            agents.pick(&mut picks.agents);
+    /// One update of the agents, if there is enough to learn from.
+    pub fn update_agents(
+        &mut self,
+        environment: &dyn Environment,
+        learning_rate: f32,
+    ) -> Option<UpdateReport> {
+        let Self { config, networks, agents, replay, random, samples, drawn, .. } = self;
+        if !replay.has(config.replay.warm_up) {
+            return None;
         }
-        let mut allocator = allocator.as_mut().filter(|learner| due.allocator && learner.is_warm());
-        if let Some(learner) = &mut allocator {
-            learner.pick(&mut picks.allocator);
+        let turns = if config.replay.symmetries { environment.spec().turns } else { 1 };
+        replay.draw(config.replay.batch, random, samples);
+        drawn.clear();
+        drawn.extend(samples.iter().map(|sample| Drawn {
+            sample: *sample,
+            turn: below(random, turns),
+            marks: random.next_u64(),
+        }));
+        let experience = Experience { environment, replay };
+        let shards = drawn.len().div_ceil(SAMPLES);
+        (shards > 0).then(|| {
+            agents.update(shards, learning_rate, |shard| {
+                let own = drawn.chunks(SAMPLES).nth(shard.number).unwrap_or_default();
+                networks.loss(shard, experience, own, drawn.len())
+            })
+        })
+    }
+
+    /// What the last update of the agents learned from.
+    pub fn drawn(&self) -> &[Drawn] {
+        &self.drawn
+    }
+
+    /// One update of each level that is due.
+    fn update_once(&mut self, environment: &dyn Environment, now: Now, reports: &mut Reports) {
+        let due = self.due.take(now.env_steps, &self.config);
+        if due.agents {
+            let rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+            reports.agents.extend(self.update_agents(environment, rate));
         }
-        self.workers.run();
-        if learn_agents {
+        let config = &self.config.allocator;
+        if let Some(allocator) = self.allocator.as_mut().filter(|_| due.allocator) {
             let rate = config.optimiser.learning_rate_at(now.env_steps, now.of);
-            reports.agents.push(agents.follow(rate));
-        }
-        if let Some(learner) = allocator {
-            let rate = config.allocator.optimiser.learning_rate_at(now.env_steps, now.of);
-            reports.allocator.push(learner.follow(rate));
+            reports.allocator.extend(allocator.update(config, environment, rate));
         }
     }
 
     /// The agents that are measured.
     fn measured(&self) -> Agents<'_> {
-        Agents::new(&self.agents.average.utility)
-    }
-
-    /// The averaged weights of the allocator.
-    fn team_values(&self) -> Option<&UtilityNetwork> {
-        self.allocator.as_ref().map(|learner| &learner.average)
+        Agents::new(UtilityView { shape: self.networks.shape, parameters: &self.agents.average })
     }
 
     /// The agents, and what they are allocated by if the run learns that.
@@ -146,9 +185,9 @@ impl Records {
             agents: Box::new(NetworkAgents::new(self.measured(), network.subtask)),
             are_seen: network.subtask.has_subtasks(),
             interval: allocation.interval,
-            allocator: self.team_values().map(|network| LearnedAllocator {
-                allocate: Box::new(TeamValueAllocator::new(network, team_max)),
-                networks: AllocatorNetworks::TeamValue(Box::new(network.layers())),
+            allocator: self.allocator.as_ref().map(|allocator| LearnedAllocator {
+                allocate: Box::new(TeamValueAllocator::new(allocator.measured(), team_max)),
+                networks: AllocatorNetworks::TeamValue(Box::new(allocator.measured().layers())),
                 team_max: Some(team_max),
             }),
         }
@@ -171,6 +210,62 @@ impl Records {
     }
 }
 
+impl Allocator {
+    fn new(
+        config: &AllocatorConfig,
+        (spec, instances): (&Spec, usize),
+        seed: u64,
+        threads: usize,
+    ) -> Self {
+        let mut weights = generator(seed, Purpose::Weights, ALLOCATOR_STREAM);
+        let (values, parameters) = TeamValues::new(config, spec, &mut weights);
+        let widths = Widths { tasks: spec.shape.tasks, ..Widths::default() };
+        let kept = Capacity::States(config.replay.capacity / instances);
+        Self {
+            values,
+            learner: Learner::new(parameters, rules(&config.optimiser), threads),
+            segments: Trajectories::noting(kept, instances, widths),
+            random: generator(seed, Purpose::Replay, ALLOCATOR_STREAM),
+            drawn: Vec::new(),
+            seen: Observation::default(),
+        }
+    }
+
+    /// One update, if there is enough to learn from.
+    pub fn update(
+        &mut self,
+        config: &AllocatorConfig,
+        environment: &dyn Environment,
+        learning_rate: f32,
+    ) -> Option<UpdateReport> {
+        let Self { values, learner, segments, random, drawn, seen } = self;
+        if !segments.can_draw(1) || segments.states() < config.replay.warm_up {
+            return None;
+        }
+        let turns = if config.replay.symmetries { environment.spec().turns } else { 1 };
+        let experience = (environment, &*segments);
+        let draw = |_| DrawnSegment::draw(experience, turns, seen, random);
+        drawn.clear();
+        drawn.extend((0..config.replay.batch).filter_map(draw));
+        let shards = drawn.len().div_ceil(SEGMENTS);
+        (shards > 0).then(|| {
+            learner.update(shards, learning_rate, |shard| {
+                let own = drawn.chunks(SEGMENTS).nth(shard.number).unwrap_or_default();
+                values.loss(shard, experience, own, drawn.len())
+            })
+        })
+    }
+
+    fn measured(&self) -> UtilityView<'_> {
+        UtilityView { shape: self.values.shape, parameters: &self.learner.average }
+    }
+
+    /// The weights that learn.
+    pub fn online(&self) -> UtilityView<'_> {
+        UtilityView { shape: self.values.shape, parameters: &self.learner.online.values }
+    }
+}
+
 impl Method for Records {
     fn begins(&mut self, instance: usize, random: &mut Random) {
         self.rollout.begin(instance, random);
@@ -185,40 +280,38 @@ impl Method for Records {
     ) -> Result<(), LearnError> {
         let Config { exploration, allocator: config, .. } = &self.config;
         self.keeps_segments = now.env_steps >= config.learns_from;
-        let mut agents = self.agents.knowledge_mut();
-        let Knowledge { online, replay: records, .. } = &mut *agents;
-        let mut allocator = self.allocator.as_mut().map(Learner::knowledge_mut);
         let (mut network, mut segments) = (None, None);
-        if let Some(allocator) = &mut allocator {
-            let Knowledge { online, replay, .. } = &mut **allocator;
-            network = (now.env_steps >= config.decides_from).then_some(&*online);
-            segments = self.keeps_segments.then_some(replay);
+        if let Some(Allocator { values, learner, segments: kept, .. }) = &mut self.allocator {
+            let online = UtilityView { shape: values.shape, parameters: &learner.online.values };
+            network = (now.env_steps >= config.decides_from).then_some(online);
+            segments = self.keeps_segments.then_some(kept);
         }
-        let epsilon = exploration.epsilon_at(now.env_steps);
-        let behaviour = Behaviour { agents: &online.utility, epsilon, allocator: network };
-        let memory = Memory { records, segments };
-        self.decisions += self.rollout.act(scenes, random, behaviour, memory, actions)?;
+        let parameters = &self.agents.online.values;
+        let behaviour = Behaviour {
+            agents: UtilityView { shape: self.networks.shape, parameters },
+            epsilon: exploration.epsilon_at(now.env_steps),
+            allocator: network,
+        };
+        self.decisions += self.rollout.act(scenes, random, behaviour, segments, actions)?;
         Ok(())
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
-        let mut agents = self.agents.knowledge_mut();
-        let mut allocator = self.allocator.as_mut().map(Learner::knowledge_mut);
-        let segments = allocator.as_mut().map(|allocator| &mut allocator.replay);
+        let segments = self.allocator.as_mut().map(|allocator| &mut allocator.segments);
         let segments = segments.filter(|_| self.keeps_segments);
-        self.rollout.remember(transition, Memory { records: &mut agents.replay, segments });
+        self.rollout.remember(transition, &mut self.replay, segments);
         Ok(())
     }
 
     fn update(
         &mut self,
-        _: &dyn Environment,
+        environment: &dyn Environment,
         now: Now,
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
         reports.decisions += std::mem::take(&mut self.decisions);
         while self.due.any(now.env_steps) {
-            self.update_once(now, reports);
+            self.update_once(environment, now, reports);
         }
         Ok(())
     }
@@ -254,7 +347,8 @@ impl Method for Records {
                 allocation.team_max
             ),
         };
-        let mut departures = export::skips(self.measured().network, self.team_values());
+        let allocators = self.allocator.as_ref().map(|allocator| allocator.values.shape);
+        let mut departures = export::skips(self.networks.shape, allocators);
         departures += &format!(
             "- Utilities of a subtask's team are summed (VDN); there is no mixing network.\n\
              - It learns from records of one step and one subtask, with {}-step returns and discount {}.\n\
@@ -285,146 +379,53 @@ impl Method for Records {
 
     /// Begins with the averaged weights of another run.
     fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
-        let learned = Learned::open(folder, self.observer.spec())?;
-        let online = {
-            let knowledge = self.agents.knowledge();
-            MixedNetwork { utility: learned.network, ..knowledge.online.clone() }
-        };
-        let ours = self.agents.average.utility.shape();
-        if ours != online.utility.shape() {
-            let hint = ours.hint_to_become(online.utility.shape(), "network.skip");
-            let reason = format!("`run.from` has agents of another shape{hint}");
-            return Err(LearnError::Config(reason));
-        }
-        begin_with(&mut self.agents, &online);
-        let (Some(learner), Some(network)) = (&mut self.allocator, &learned.team_values) else {
+        let learned = Learned::open(folder, &self.spec)?;
+        let (network, agents) = (learned.network.view(), &mut self.agents);
+        begin_with(agents, self.networks.shape, network, ["agents of another shape", "network"])?;
+        let (Some(allocator), Some(network)) = (&mut self.allocator, &learned.team_values) else {
             return Ok(());
         };
-        let ours = learner.average.shape();
-        if ours != network.shape() {
-            let hint = ours.hint_to_become(network.shape(), "allocator.network.skip");
-            return Err(LearnError::Config(format!("`run.from` has another allocator{hint}")));
-        }
-        begin_with(learner, network);
-        Ok(())
+        let (shape, what) = (allocator.values.shape, ["another allocator", "allocator.network"]);
+        begin_with(&mut allocator.learner, shape, network.view(), what)
     }
 
+    /// Who wants weights gets those that are measured.
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        let Self { config, networks, agents, allocator, .. } = self;
+        if state.wants_weights() {
+            let name = format!("agents/{}", measured(&config.optimiser));
+            state.tensors(&name, &networks.shape.tensors(), &mut agents.average)?;
+            let Some(Allocator { values, learner, .. }) = allocator else { return Ok(()) };
+            let name = format!("allocator/{}", measured(&config.allocator.optimiser));
+            return state.tensors(&name, &values.shape.tensors(), &mut learner.average);
+        }
         state.value("due", &mut self.due)?;
-        state.value("picks", &mut self.picks)?;
-        self.rollout.state(state)?;
-        let Self { config, agents, allocator, observer, .. } = self;
-        agents_state(agents, state)?;
-        let (capacity, lag) = (config.replay.capacity, lag(config));
-        if state.is_reading() && !agents.knowledge().replay.fits(capacity, lag, observer.spec()) {
-            return Err(misfit("replay"));
-        }
-        let Some(learner) = allocator else { return Ok(()) };
-        allocator_state(learner, state)?;
-        if state.is_reading() && !learner.knowledge().replay.fits(config.allocator.replay.capacity)
-        {
-            return Err(misfit("allocator's replay"));
-        }
-        Ok(())
+        state.value("random", &mut self.random)?;
+        self.rollout.visit(state)?;
+        agents.state_as(state, |part| format!("agents/{part}"))?;
+        self.replay.visit(state)?;
+        let Some(Allocator { learner, segments, random, .. }) = allocator else { return Ok(()) };
+        learner.state_as(state, |part| format!("allocator/{part}"))?;
+        state.value("allocator/random", random)?;
+        segments.visit_as(state, "segments")
     }
 }
 
-fn misfit(what: &str) -> LearnError {
-    LearnError::Config(format!("the checkpoint's {what} does not fit train.toml"))
-}
-
-/// A learner whose networks are all the same.
-fn begin_with<L: Loss>(learner: &mut Learner<L>, network: &L::Network) {
-    learner.average = network.clone();
-    let mut knowledge = learner.knowledge_mut();
-    (knowledge.target, knowledge.online) = (network.clone(), network.clone());
-}
-
-/// Names the agents' networks, their mixers, their optimiser and what they have seen.
-fn agents_state(learner: &mut Learner<Chunk>, state: &mut State<'_>) -> Result<(), LearnError> {
-    let shape = learner.average.utility.shape();
-    let (tensors, utilities) = (tensors(shape), shape.parameters());
-    let (mut adam, mut average) = (learner.adam.clone(), learner.average.clone());
-    {
-        let mut knowledge = learner.knowledge_mut();
-        let Knowledge { online, target, replay, .. } = &mut *knowledge;
-        for (name, network) in [("online", online), ("target", target), ("average", &mut average)] {
-            let MixedNetwork { utility, mixer } = network;
-            state.tensors(&format!("agents/{name}"), &tensors, utility.parameters_mut())?;
-            let mut parameters = mixer.parameters().to_vec();
-            state.value(&format!("mixer/{name}"), &mut parameters)?;
-            let read = Mixer::from_parameters(mixer.shape(), parameters);
-            *mixer = read.ok_or_else(|| misfit("mixer"))?;
-        }
-        state.value("records", replay)?;
-    }
-    for (name, vector) in [("mean", &mut adam.mean), ("square", &mut adam.square)] {
-        let (own, mixer) = vector.split_at_mut(utilities);
-        state.tensors(&format!("agents/adam-{name}"), &tensors, own)?;
-        let mut numbers = mixer.to_vec();
-        state.value(&format!("mixer/adam-{name}"), &mut numbers)?;
-        if numbers.len() != mixer.len() {
-            return Err(misfit("mixer"));
-        }
-        mixer.copy_from_slice(&numbers);
-    }
-    state.value("agents/adam-steps", &mut adam.steps)?;
-    (learner.adam, learner.average) = (adam, average);
-    Ok(())
-}
-
-/// The same of the allocator.
-fn allocator_state(
-    learner: &mut Learner<TeamValueLoss>,
-    state: &mut State<'_>,
+/// A learner whose networks all begin as another one of the same shape; `what` says of what, and by which key's section it
+/// may get that shape.
+fn begin_with<S>(
+    learner: &mut Learner<S>,
+    shape: UtilityShape,
+    network: UtilityView<'_>,
+    [what, key]: [&str; 2],
 ) -> Result<(), LearnError> {
-    let tensors = tensors(learner.average.shape());
-    let (mut adam, mut average) = (learner.adam.clone(), learner.average.clone());
-    {
-        let mut knowledge = learner.knowledge_mut();
-        let Knowledge { online, target, replay, .. } = &mut *knowledge;
-        for (name, network) in [("online", online), ("target", target), ("average", &mut average)] {
-            state.tensors(&format!("allocator/{name}"), &tensors, network.parameters_mut())?;
-        }
-        state.value("segments", replay)?;
+    if shape != network.shape {
+        let hint = shape.hint_to_become(network.shape, &format!("{key}.skip"));
+        return Err(LearnError::Config(format!("`run.from` has {what}{hint}")));
     }
-    state.tensors("allocator/adam-mean", &tensors, &mut adam.mean)?;
-    state.tensors("allocator/adam-square", &tensors, &mut adam.square)?;
-    state.value("allocator/adam-steps", &mut adam.steps)?;
-    (learner.adam, learner.average) = (adam, average);
+    let Learner { online, target, average, .. } = learner;
+    for weights in [&mut online.values, target, average] {
+        weights[..network.parameters.len()].copy_from_slice(network.parameters);
+    }
     Ok(())
-}
-
-/// The learner of the agents, before its first update.
-pub fn agents_learner(config: &Config, observer: &Observer, seed: u64) -> Learner<Chunk> {
-    let (shape, inputs) = (config.network.shape(observer.spec()), config.network.active_inputs);
-    let mut weights = generator(seed, Purpose::Weights, 0);
-    let online = MixedNetwork {
-        utility: UtilityNetwork::initialise(shape, inputs, &mut weights),
-        mixer: Mixer::initialise(config.mixer.shape(shape.input), inputs, &mut weights),
-    };
-    let replay = Replay::new(config.replay.capacity, lag(config), observer.spec());
-    let seen = (replay, observer.clone());
-    let loss = Chunk::new(&online, config.network.subtask, config.mixer.reward_factor());
-    Learner::new((&config.replay, &config.optimiser), online, seen, &loss)
-}
-
-/// How many moments a record reaches back.
-fn lag(config: &Config) -> u64 {
-    Returns::from(&config.returns).lag(config.environment.instances)
-}
-
-/// The learner of the allocator, before its first update.
-pub fn allocator_learner(
-    config: &Config,
-    observer: &Observer,
-    seed: u64,
-) -> Learner<TeamValueLoss> {
-    let config = &config.allocator;
-    let shape = config.shape(observer.spec());
-    let mut weights = generator(seed, Purpose::Weights, ALLOCATOR_STREAM);
-    let online = UtilityNetwork::initialise(shape, config.network.active_inputs, &mut weights);
-    let seen = (Segments::new(config.replay.capacity), observer.clone());
-    let loss = TeamValueLoss::new(shape);
-    Learner::new((&config.replay, &config.optimiser), online, seen, &loss)
 }

@@ -8,28 +8,17 @@
 
 pub mod config;
 mod deciding;
-mod history;
-mod learner;
+mod lesson;
 mod method;
-mod mixer;
-#[cfg(test)]
-mod naive;
 mod replay;
 mod rollout;
 pub mod team_value;
-mod temporal_difference;
 #[cfg(test)]
-mod toy;
+mod tests;
 
 pub use config::Config;
 pub(crate) use config::LEARNED;
-pub use history::{History, Reached, Returns, StepRewards};
-pub use learner::{
-    Experience, Knowledge, Learner, Loss, MixedNetwork, Networks, Observer, Parameters, Pick,
-    Samples,
-};
-pub use method::{Records, agents_learner, allocator_learner};
-pub use mixer::{Mixer, MixerKind, MixerPass, MixerShape, MixerTensor, Teams};
-pub use replay::{Moment, Moments, Record, Replay, Sample};
-pub use rollout::{Behaviour, Memory, Rollout};
-pub use temporal_difference::Chunk;
+pub use lesson::{Drawn, Experience, Lesson, Networks};
+pub use method::{Allocator, Records};
+pub use replay::{Moment, Replay, Sample, Taken};
+pub use rollout::{Behaviour, Rollout};

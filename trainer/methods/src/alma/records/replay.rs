@@ -1,434 +1,276 @@
-//! What was seen: moments, which are states with what was decided and done in them, each stored once, and records that
-//! refer to them. A record is a step of one team.
+//! What was seen: states with what was decided and done in them. A sample is a state and one subtask in it that was open and
+//! had a team.
 //!
-//! Features are rebuilt when a record is used.
-
-use std::collections::VecDeque;
+//! A subtask earns for up to n steps from a state on. Its team is worth nothing any more once the subtask is finished; else
+//! what follows is the value of the team of that state in the state n steps later, or in an earlier one in which the subtask
+//! has another team, or in which time runs out.
+//!
+//! Without subtasks everybody is the team of one, which earns the whole team's rewards until the episode is over.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::{AgentSet, EntitySet, Spec, UNASSIGNED};
+use sortie_envs::random::below;
+use sortie_envs::{AgentSet, EntitySet, Observation, Random, Spec, members};
+use sortie_learn::trajectory::{Capacity, End, Future, Place, Widths};
+use sortie_learn::{LearnError, State, Trajectories, Transition};
 
-use super::learner::Samples;
-use crate::alma::agents::NO_ACTION;
+use super::config::{Config, ReturnsConfig};
+use crate::alma::agents::Conditioning;
 
-/// Moments that are stored, and forgotten, together.
-const BLOCK: u64 = 1024;
-/// Bytes that say how long a state is.
-const LENGTH: usize = 4;
-
-/// The newest moments of a run by their numbers, which only grow.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Moments {
-    agents: usize,
-    state_bytes: usize,
-    /// Number of the first block that is kept.
-    first: u64,
-    /// A moment is its state's length, the state and zeros, then of every agent subtask, last action and action.
-    blocks: VecDeque<Vec<u8>>,
-    next: u64,
-}
-
-/// A state in which a team acted, or one that an episode ran out of time in.
-#[derive(Clone, Copy, Debug)]
+/// A state, with what each agent slot `[A]` was allocated to in it, had done before and did.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment<'a> {
     /// The state.
     pub state: &'a [u8],
-    /// `[A]`: the subtask of every agent, [`UNASSIGNED`] where there is none.
+    /// The subtask of every agent, [`UNASSIGNED`](sortie_envs::UNASSIGNED) where it has none.
     pub allocation: &'a [u8],
-    /// `[A]`: what every agent had done before.
+    /// What every agent had done before.
     pub last_actions: &'a [u8],
-    /// `[A]`: what every agent did.
+    /// What every agent did.
     pub actions: &'a [u8],
 }
 
-impl Moments {
-    /// None yet, of an environment.
-    pub fn new(spec: &Spec) -> Self {
-        let (agents, state_bytes) = (spec.shape.agents, spec.state_bytes);
-        Self { agents, state_bytes, first: 0, blocks: VecDeque::new(), next: 0 }
+impl<'a> Moment<'a> {
+    /// As trajectories keep it: the state, and behind it three bytes for each agent.
+    pub fn bytes(self) -> Vec<u8> {
+        [self.state, self.allocation, self.last_actions, self.actions].concat()
     }
 
-    /// Adds a moment in which nobody is allocated and nothing is done yet; returns its number.
-    pub fn push(&mut self, state: &[u8], last_actions: &[u8]) -> u64 {
-        let bytes = self.bytes();
-        if self.next == (self.first + self.blocks.len() as u64) * BLOCK {
-            self.blocks.push_back(Vec::with_capacity(BLOCK as usize * bytes));
-        }
-        let (number, padding) = (self.next, self.state_bytes - state.len());
-        self.next += 1;
-        if let Some(block) = self.blocks.back_mut() {
-            block.extend((state.len() as u32).to_le_bytes());
-            block.extend(state);
-            block.extend(std::iter::repeat_n(0, padding));
-            block.extend(std::iter::repeat_n(UNASSIGNED, self.agents));
-            block.extend(&last_actions[..self.agents]);
-            block.extend(std::iter::repeat_n(NO_ACTION, self.agents));
-        }
-        number
+    /// What was kept so, of so many agents.
+    pub fn read(bytes: &'a [u8], agents: usize) -> Self {
+        let (bytes, actions) = bytes.split_at(bytes.len() - agents);
+        let (bytes, last_actions) = bytes.split_at(bytes.len() - agents);
+        let (state, allocation) = bytes.split_at(bytes.len() - agents);
+        Self { state, allocation, last_actions, actions }
     }
 
-    /// Says what the agents of a moment were allocated to, those that exist.
-    pub fn allocate(&mut self, number: u64, allocation: &[u8]) {
-        self.part(number, 0)[..allocation.len()].copy_from_slice(allocation);
-    }
-
-    /// Says what the agents of a moment did.
-    pub fn act(&mut self, number: u64, actions: &[u16]) {
-        let part = self.part(number, 2).iter_mut();
-        part.zip(actions).for_each(|(kept, action)| *kept = *action as u8);
-    }
-
-    /// A moment that is not forgotten.
-    #[inline]
-    pub fn get(&self, number: u64) -> Moment<'_> {
-        let bytes = self.bytes();
-        let moment = &self.blocks[self.block(number)][place(number) * bytes..][..bytes];
-        let (length, rest) = moment.split_at(LENGTH);
-        let (state, rest) = rest.split_at(self.state_bytes);
-        let (allocation, rest) = rest.split_at(self.agents);
-        let (last_actions, actions) = rest.split_at(self.agents);
-        let length = u32::from_le_bytes([length[0], length[1], length[2], length[3]]);
-        Moment { state: &state[..length as usize], allocation, last_actions, actions }
-    }
-
-    /// Reads a little of a moment, so that it is on its way from memory.
-    #[inline]
-    pub fn fetch(&self, number: u64) -> u8 {
-        const CACHE_LINE: usize = 64;
-        let bytes = self.bytes();
-        let moment = &self.blocks[self.block(number)][place(number) * bytes..][..bytes];
-        moment.iter().step_by(CACHE_LINE).fold(0, |sum, byte| sum ^ byte)
-    }
-
-    /// The number that the next moment gets.
-    pub fn next(&self) -> u64 {
-        self.next
-    }
-
-    /// Forgets moments of smaller numbers, though not all at once.
-    pub fn forget_before(&mut self, number: u64) {
-        while self.blocks.len() > 1 && (self.first + 1) * BLOCK <= number {
-            self.blocks.pop_front();
-            self.first += 1;
-        }
-    }
-
-    /// Whether these are moments of an environment, all that should be there, as they are from a sound file.
-    pub fn fits(&self, spec: &Spec) -> bool {
-        let kept = self.next.checked_sub(self.first.saturating_mul(BLOCK));
-        let lengths = || self.blocks.iter().map(Vec::len);
-        let whole = BLOCK as usize * self.bytes();
-        (self.agents, self.state_bytes) == (spec.shape.agents, spec.state_bytes)
-            && kept
-                .is_some_and(|kept| lengths().sum::<usize>() as u64 == kept * self.bytes() as u64)
-            && lengths().rev().skip(1).all(|length| length == whole)
-            && self.blocks.back().is_none_or(|last| last.len() <= whole)
-    }
-
-    /// Whether a moment is there.
-    pub fn has(&self, number: u64) -> bool {
-        (self.first * BLOCK..self.next).contains(&number)
-    }
-
-    fn bytes(&self) -> usize {
-        LENGTH + self.state_bytes + 3 * self.agents
-    }
-
-    fn block(&self, number: u64) -> usize {
-        (number / BLOCK - self.first) as usize
-    }
-
-    /// One of the three parts of a moment that are about its agents.
-    fn part(&mut self, number: u64, part: usize) -> &mut [u8] {
-        let (bytes, block) = (self.bytes(), self.block(number));
-        let first = place(number) * bytes + LENGTH + self.state_bytes + part * self.agents;
-        &mut self.blocks[block][first..][..self.agents]
+    /// The agents at a subtask.
+    pub fn team(self, task: usize) -> AgentSet {
+        let at = |(agent, own): (usize, &u8)| AgentSet::from(usize::from(*own) == task) << agent;
+        self.allocation.iter().enumerate().map(at).sum()
     }
 }
 
-/// The place of a moment in its block.
-fn place(number: u64) -> usize {
-    (number % BLOCK) as usize
+/// What became of the subtasks in a step, as bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Worked {
+    /// Those that were open and had a team: a sample each.
+    samples: u32,
+    /// Those of them that are not open behind the step.
+    closed: u32,
+    /// Those whose team is not that of the step before.
+    moved: u32,
 }
 
-/// The rewards that the team of one step earned over the next steps.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Record {
-    /// Discounted sum of the team's rewards until the state to bootstrap from.
-    pub reward: f32,
-    /// Factor of the bootstrapped value; 0 where there is nothing to bootstrap from.
-    pub discount: f32,
-    /// The team's subtask when it acted, which is held fixed for the bootstrap.
-    pub task: u8,
-    /// How many moments later the one to bootstrap from is; 0 where there is none.
-    ahead: u32,
-    /// The moment in which the team acted.
-    now: u64,
-    /// The things in sight, in two halves.
-    things: [u64; 2],
+/// A step to be remembered.
+#[derive(Clone, Copy)]
+pub struct Taken<'a> {
+    /// What was done, and what came of it.
+    pub transition: &'a Transition<'a>,
+    /// What there was to see in the state.
+    pub seen: &'a Observation,
+    /// The subtasks that are open behind the step.
+    pub open_then: u32,
+    /// Who acted for what, and had done what before.
+    pub moment: Moment<'a>,
+    /// Who acted for what in the step before; nothing at the begin of an episode.
+    pub before: &'a [u8],
 }
 
-impl Record {
-    /// A record of the team at a subtask in one moment and in a later one; `things` are in its sight.
-    pub fn new(task: usize, [now, next]: [u64; 2], things: EntitySet) -> Self {
-        let things = [things as u64, (things >> 64) as u64];
-        let ahead = (next - now) as u32;
-        Self { reward: 0.0, discount: 0.0, task: task as u8, ahead, now, things }
-    }
-
-    /// The things in sight.
-    pub fn things(&self) -> EntitySet {
-        EntitySet::from(self.things[0]) | EntitySet::from(self.things[1]) << 64
-    }
-}
-
-/// A record with the moments that it is about.
-#[derive(Clone, Copy, Debug)]
+/// A team in a state, with what it did and what followed.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample<'a> {
-    /// Rewards and discount.
-    pub record: &'a Record,
-    /// When the team acted.
+    /// The team's subtask.
+    pub task: usize,
+    /// The subtask's things.
+    pub things: EntitySet,
+    /// When it acted.
     pub now: Moment<'a>,
-    /// To bootstrap from; `now` once more where there is nothing to bootstrap from.
+    /// The discounted rewards until the next moment.
+    pub reward: f32,
+    /// What the value of the same team there counts; 0 where there is nothing to come.
+    pub discount: f32,
+    /// The state to bootstrap from.
     pub next: Moment<'a>,
 }
 
-impl Sample<'_> {
-    /// The agents that earned the reward.
-    pub fn team(&self) -> AgentSet {
-        let members = self.now.allocation.iter().enumerate();
-        let members = members.filter(|(_, task)| **task == self.record.task);
-        members.fold(0, |team, (agent, _)| team | 1 << agent)
-    }
+/// The samples of a run, the newest of each instance.
+#[derive(Debug)]
+pub struct Replay {
+    conditioning: Conditioning,
+    returns: ReturnsConfig,
+    agents: usize,
+    tasks: usize,
+    /// Samples that are kept of each instance at most.
+    most: usize,
+    steps: Trajectories<Worked>,
+    /// How many there are, by instance.
+    samples: Vec<usize>,
 }
 
-/// A ring of records: the newest replaces the oldest.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Replay {
-    capacity: usize,
-    /// How many moments old what a new record refers to may be.
-    lag: u64,
-    records: Vec<Record>,
-    next: usize,
-    pub(super) moments: Moments,
-}
+/// Bytes of a set of entities.
+const SET: usize = size_of::<EntitySet>();
+
+/// How often what is missing is drawn again before there seems to be none.
+const ROUNDS: usize = 1_000;
 
 impl Replay {
-    /// Room for `capacity` records of an environment, each of which refers to none but the last `lag` moments.
-    pub fn new(capacity: usize, lag: u64, spec: &Spec) -> Self {
-        let (records, moments) = (Vec::with_capacity(capacity), Moments::new(spec));
-        Self { capacity, lag, records, next: 0, moments }
+    /// Room for what a configuration wants to keep of an environment.
+    pub fn new(config: &Config, spec: &Spec) -> Self {
+        let (conditioning, instances) = (config.network.subtask, config.environment.instances);
+        let (agents, most) = (spec.shape.agents, config.replay.capacity / instances);
+        let tasks = if conditioning.has_subtasks() { spec.shape.tasks } else { 1 };
+        let widths = Widths { tasks, ..Widths::default() };
+        Self {
+            conditioning,
+            returns: config.returns.clone(),
+            agents,
+            tasks,
+            most,
+            steps: Trajectories::noting(Capacity::States(most), instances, widths),
+            samples: vec![0; instances],
+        }
     }
 
-    /// Stores a record, and forgets moments that no record refers to any more, nor will.
+    /// Number of samples.
+    pub fn samples(&self) -> usize {
+        self.samples.iter().sum()
+    }
+
+    /// Whether there are so many samples, and some that as much followed as one looks ahead.
+    pub fn has(&self, samples: usize) -> bool {
+        self.samples() >= samples && self.steps.can_draw(self.returns.steps as usize)
+    }
+
+    /// Adds a step, and forgets the oldest of its instance.
+    pub fn push(&mut self, taken: Taken<'_>) {
+        let Taken { transition, moment, .. } = taken;
+        let everybody: Vec<u8>;
+        let moment = if self.conditioning.has_subtasks() {
+            moment
+        } else {
+            let agents = 0..moment.allocation.len();
+            let exists = |agent| if agent < taken.seen.agents() { 0 } else { u8::MAX };
+            everybody = agents.map(exists).collect();
+            Moment { allocation: &everybody, ..moment }
+        };
+        let (worked, rewards) = self.worked(Taken { moment, ..taken });
+        let mut state = moment.bytes();
+        for task in members(worked.samples.into()) {
+            state.extend(taken.seen.things_of(task).to_le_bytes());
+        }
+        let Moment { actions, .. } = moment;
+        let last = Moment { state: transition.next, last_actions: actions, ..moment };
+        let next = if transition.step.done() { last.bytes() } else { Vec::new() };
+        let kept = Transition { state: &state, task_rewards: &rewards, next: &next, ..*transition };
+        self.steps.push_noted(&kept, worked);
+        let samples = &mut self.samples[transition.instance];
+        *samples += worked.samples.count_ones() as usize;
+        while *samples > self.most {
+            let oldest = self.steps.oldest(transition.instance);
+            *samples -= self.steps.note(oldest).samples.count_ones() as usize;
+            self.steps.forget(oldest);
+        }
+    }
+
+    /// What became of the subtasks, and what each has earned: shaped, the difference of its team's potentials is part of it.
+    fn worked(&self, taken: Taken<'_>) -> (Worked, Vec<f64>) {
+        let Taken { transition, seen, open_then, moment, before } = taken;
+        let Transition { environment, step, task_rewards, next, .. } = *transition;
+        let has_subtasks = self.conditioning.has_subtasks();
+        let bit = |task: &u8| 1_u32.checked_shl((*task).into()).unwrap_or(0);
+        let [open, then] = if has_subtasks { [seen.open_tasks, open_then] } else { [1; 2] };
+        let samples = open & moment.allocation.iter().fold(0, |teams, task| teams | bit(task));
+        let changed = moment.allocation.iter().zip(before).filter(|(own, before)| own != before);
+        let moved = changed.fold(0, |moved, (own, before)| moved | bit(own) | bit(before));
+        let moved = if has_subtasks { moved } else { 0 };
+        let worked = Worked { samples, closed: samples & !then, moved };
+        let mut rewards = vec![step.reward];
+        if has_subtasks {
+            rewards.clear();
+            rewards.extend_from_slice(task_rewards);
+        }
+        let ReturnsConfig { discount, shaping, .. } = self.returns;
+        if shaping != 0.0 {
+            for task in members(samples.into()) {
+                let (team, at) = (moment.team(task), has_subtasks.then_some(task));
+                let potential = |state| environment.potential(state, shaping, team, at);
+                let goes_on = worked.closed >> task & 1 == 0 && !step.terminated;
+                let later = if goes_on { discount * potential(next) } else { 0.0 };
+                rewards[task] += f64::from(later - potential(moment.state));
+            }
+        }
+        (worked, rewards)
+    }
+
+    /// Draws so many samples, each as likely as any other: states and a subtask in each. There are fewer where there seem
+    /// to be none.
+    pub fn draw(&self, count: usize, random: &mut Random, drawn: &mut Vec<(Place, u8)>) {
+        let steps = self.returns.steps as usize;
+        drawn.clear();
+        for _ in 0..ROUNDS {
+            let found = drawn.len();
+            let any = |_| (self.steps.draw_any(steps, random), below(random, self.tasks) as u8);
+            drawn.extend((found..count).map(any));
+            // Looked at one behind the other without a question, all are on their way from memory at the same time.
+            let note = |place| self.steps.note(place).samples;
+            let read = drawn[found..].iter().fold(0, |sum, (place, _)| sum ^ note(*place));
+            std::hint::black_box(read);
+            drawn.retain(|(place, task)| note(*place) >> task & 1 == 1);
+            if drawn.len() == count {
+                break;
+            }
+        }
+    }
+
+    /// Reads a little of each of these samples, for the same reason.
+    pub fn fetch(&self, samples: impl Iterator<Item = (Place, u8)> + Clone) {
+        let ahead = self.returns.steps as usize;
+        let next = |place: Place| self.steps.note(place.after(ahead)).samples;
+        std::hint::black_box(samples.clone().fold(0, |sum, (place, _)| sum ^ next(place)));
+        let both = |place: Place| self.steps.fetch(place) ^ self.steps.fetch(place.after(ahead));
+        std::hint::black_box(samples.fold(0, |sum, (place, _)| sum ^ both(place)));
+    }
+
+    /// A sample that was drawn.
+    pub fn sample(&self, (place, task): (Place, u8)) -> Sample<'_> {
+        let task = usize::from(task);
+        let Future { place: next, reward, discount } = self.future(place, task);
+        let ((now, things), (next, _)) = (self.moment(place), self.moment(next));
+        let before = self.steps.note(place).samples & ((1 << task) - 1);
+        let things = things.get(before.count_ones() as usize);
+        let things = things.map_or(0, |bytes| EntitySet::from_le_bytes(*bytes));
+        Sample { task, things, now, reward, discount, next }
+    }
+
+    /// A state, and behind it the things of each subtask that is a sample, as they were pushed.
+    fn moment(&self, place: Place) -> (Moment<'_>, &[[u8; SET]]) {
+        let bytes = self.steps.state(place);
+        let things = SET * self.steps.note(place).samples.count_ones() as usize;
+        let (moment, things) = bytes.split_at(bytes.len() - things);
+        (Moment::read(moment, self.agents), things.as_chunks().0)
+    }
+
+    fn future(&self, place: Place, task: usize) -> Future {
+        let ReturnsConfig { steps, discount, .. } = self.returns;
+        let is = |tasks: u32| tasks >> task & 1 == 1;
+        let earned = |place| {
+            let is_closed = is(self.steps.note(place).closed);
+            let end = if is_closed { End::Over } else { self.steps.end(place) };
+            (self.steps.rewards(place).tasks[task], end)
+        };
+        let has_moved = |place| is(self.steps.note(place).moved);
+        self.steps.future_of(place, steps as usize, discount, earned, has_moved)
+    }
+
+    /// Names all of it.
     ///
-    /// # Panics
-    /// Where the record refers to older moments than it may.
-    pub fn push(&mut self, record: Record) {
-        assert!(record.now + self.lag >= self.moments.next(), "a record of a forgotten moment");
-        match self.records.get_mut(self.next) {
-            Some(place) => *place = record,
-            None => self.records.push(record),
-        }
-        self.next = (self.next + 1) % self.capacity;
-        if let Some(oldest) = self.records.get(self.next).filter(|_| self.is_full()) {
-            self.moments.forget_before(oldest.now.saturating_sub(self.lag));
-        }
-    }
-
-    /// Whether the next record replaces one.
-    fn is_full(&self) -> bool {
-        self.records.len() == self.capacity
-    }
-
-    /// Number of records.
-    pub fn len(&self) -> usize {
-        self.records.len()
-    }
-
-    /// Whether there is no record.
-    pub fn is_empty(&self) -> bool {
-        self.records.is_empty()
-    }
-
-    /// A record and its moments.
-    #[inline]
-    pub fn get(&self, index: usize) -> Sample<'_> {
-        let record = &self.records[index];
-        let (now, next) = (record.now, record.now + u64::from(record.ahead));
-        Sample { record, now: self.moments.get(now), next: self.moments.get(next) }
-    }
-
-    /// Reads a little of each of these records, so that all are on their way from memory at the same time.
-    pub fn fetch(&self, indices: impl Iterator<Item = usize> + Clone) {
-        let records = indices.map(|index| &self.records[index]);
-        let read = records.clone().fold(0, |sum, record| sum ^ record.task);
-        std::hint::black_box(read);
-        let read = records.fold(0, |sum, record| {
-            let next = record.now + u64::from(record.ahead);
-            sum ^ self.moments.fetch(record.now) ^ self.moments.fetch(next)
-        });
-        // What was read is not needed, which the compiler must not know.
-        std::hint::black_box(read);
-    }
-
-    /// Whether this is a replay of that size whose parts fit together, as one from a file should be.
-    pub fn fits(&self, capacity: usize, lag: u64, spec: &Spec) -> bool {
-        let Self { records, moments, .. } = self;
-        let next = |record: &Record| record.now.checked_add(record.ahead.into());
-        (self.capacity, self.lag) == (capacity, lag)
-            && records.len() <= self.capacity
-            && self.next < self.capacity.max(1)
-            && moments.fits(spec)
-            && records.iter().all(|record| moments.has(record.now))
-            && records.iter().all(|record| next(record).is_some_and(|next| moments.has(next)))
-    }
-}
-
-impl Samples for Replay {
-    fn count(&self) -> usize {
-        self.len()
+    /// # Errors
+    /// A checkpoint has none, or one of another size.
+    pub fn visit(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        state.value("samples", &mut self.samples)?;
+        self.steps.visit_as(state, "records")
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use sortie_envs::Shape;
-    use sortie_envs::random::{below, generator};
-
-    use super::*;
-
-    fn moment_spec() -> Spec {
-        let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
-        Spec { shape, state_bytes: 6, ..Spec::default() }
-    }
-
-    fn state(number: u64) -> Vec<u8> {
-        vec![number as u8; 3 + (number % 4) as usize]
-    }
-
-    #[test]
-    fn moments_are_what_was_said_of_them_and_old_ones_are_forgotten() {
-        let mut moments = Moments::new(&moment_spec());
-        assert!(moments.fits(&moment_spec()) && !moments.has(0));
-        for number in 0..5000 {
-            assert_eq!(moments.push(&state(number), &[number as u8, 3]), number);
-            if number % 3 == 0 {
-                moments.allocate(number, &[0, 1]);
-                moments.act(number, &[2, number as u16 % 4]);
-            }
-        }
-        moments.forget_before(2047);
-        assert!(moments.has(1024) && !moments.has(1023), "what shares a block stays");
-        for number in [1024, 2048, 3003, 4999] {
-            let moment = moments.get(number);
-            assert_eq!(moment.state, state(number));
-            assert_eq!(moment.last_actions, [number as u8, 3]);
-            let (allocation, actions) = match number % 3 {
-                0 => ([0, 1], [2, (number % 4) as u8]),
-                _ => ([UNASSIGNED; 2], [NO_ACTION; 2]),
-            };
-            assert_eq!((moment.allocation, moment.actions), (&allocation[..], &actions[..]));
-        }
-        assert!(moments.fits(&moment_spec()));
-        moments.forget_before(u64::MAX);
-        assert!(moments.has(4999) && moments.fits(&moment_spec()), "the running block stays");
-    }
-
-    #[test]
-    fn moments_of_a_file_fit_only_where_all_of_them_do() {
-        let mut moments = Moments::new(&moment_spec());
-        for number in 0..1500 {
-            moments.push(&state(number), &[0; 2]);
-        }
-        assert!(!moments.fits(&Spec { state_bytes: 7, ..moment_spec() }));
-        let broken: [fn(&mut Moments); 4] = [
-            |moments| moments.next += 1,
-            |moments| moments.first = 2,
-            |moments| moments.blocks[0].truncate(5),
-            |moments| moments.blocks.swap(0, 1),
-        ];
-        for change in broken {
-            let mut changed = moments.clone();
-            change(&mut changed);
-            assert!(!changed.fits(&moment_spec()));
-        }
-    }
-
-    const LAG: u64 = 40;
-
-    fn spec() -> Spec {
-        let shape = Shape { agents: 3, entities: 130, tasks: 2, actions: 4, features: 5 };
-        Spec { shape, state_bytes: 8, ..Spec::default() }
-    }
-
-    fn push_moment(replay: &mut Replay) -> u64 {
-        let number = replay.moments.next();
-        replay.moments.push(&number.to_le_bytes(), &[0; 3])
-    }
-
-    fn number(moment: Moment<'_>) -> u64 {
-        moment.state.try_into().map_or(u64::MAX, u64::from_le_bytes)
-    }
-
-    #[test]
-    fn every_record_keeps_its_moments_until_it_is_replaced() {
-        let (mut replay, mut random) = (Replay::new(700, LAG, &spec()), generator(1));
-        let mut pushed = Vec::new();
-        for _ in 0..20_000 {
-            let newest = push_moment(&mut replay);
-            // Some moments are of no record, some of several, and not in their order.
-            for _ in 0..below(&mut random, 3) {
-                let now = newest.saturating_sub(below(&mut random, LAG as usize) as u64);
-                let next = now + below(&mut random, (newest - now) as usize + 1) as u64;
-                replay.push(Record::new(0, [now, next], 0));
-                pushed.push([now, next]);
-            }
-            assert!(replay.fits(700, LAG, &spec()), "no moment of a record is forgotten");
-        }
-        assert!(replay.len() == 700 && pushed.len() > 15_000);
-        let mut kept: Vec<_> = (0..700)
-            .map(|index| {
-                let Sample { now, next, .. } = replay.get(index);
-                [number(now), number(next)]
-            })
-            .collect();
-        replay.fetch(0..700);
-        kept.rotate_left(pushed.len() % 700);
-        assert_eq!(kept, pushed[pushed.len() - 700..]);
-        assert!(!replay.moments.has(15_000), "what is of no record any more is forgotten");
-    }
-
-    #[test]
-    fn a_record_has_a_team_and_things_in_sight() {
-        let mut replay = Replay::new(2, LAG, &spec());
-        let now = push_moment(&mut replay);
-        replay.moments.allocate(now, &[1, 0]);
-        let things = 1 << 127 | 1 << 3;
-        replay.push(Record::new(1, [now; 2], things));
-        let sample = replay.get(0);
-        assert_eq!((sample.team(), sample.record.things()), (0b001, things));
-    }
-
-    #[test]
-    fn a_replay_of_a_file_fits_only_where_all_its_records_do() {
-        let mut replay = Replay::new(3, LAG, &spec());
-        for _ in 0..5 {
-            let now = push_moment(&mut replay);
-            replay.push(Record::new(0, [now; 2], 0));
-        }
-        assert!(replay.fits(3, LAG, &spec()));
-        assert!(!replay.fits(4, LAG, &spec()) && !replay.fits(3, LAG + 1, &spec()));
-        let broken: [fn(&mut Replay); 4] = [
-            |replay| replay.next = 3,
-            |replay| replay.records[1].now = 5,
-            |replay| replay.records[1].ahead = 9,
-            |replay| replay.records.extend_from_within(..),
-        ];
-        for change in broken {
-            let mut changed = replay.clone();
-            change(&mut changed);
-            assert!(!changed.fits(3, LAG, &spec()));
-        }
-    }
-}
+mod tests;

@@ -22,7 +22,7 @@ use super::low_level::LowLevel;
 use super::low_level::coaching::Coaching;
 use super::rollout::{Behaviour, Rollout};
 use super::sampling::{Replay, SampleShape, Shaping, cut_windows, draw_episodes};
-use crate::alma::agents::{UtilityNetwork, tensors};
+use crate::alma::agents::UtilityNetwork;
 use crate::alma::export;
 use crate::alma::learned::Learned;
 use crate::alma::records::config::ReturnsConfig;
@@ -261,7 +261,7 @@ impl Method for WindowLearner {
                  (dissertation section 7.2).\n\n"
             }
         };
-        let mut departures = export::skips(&self.low_level.online.agents, None);
+        let mut departures = export::skips(self.low_level.online.agents.shape(), None);
         departures += if departures.is_empty() { "- Nowhere but in" } else { "- In" };
         departures += " the sampled windows: none learns a step from one episode to the next.\n";
         export::words(allocator.to_owned(), departures)
@@ -302,7 +302,7 @@ impl Method for WindowLearner {
 /// Names the networks of agents, mixer and coach with their optimisers.
 fn low_level_state(level: &mut LowLevel, state: &mut State<'_>) -> Result<(), LearnError> {
     let LowLevel { online, target, optimisers: [agents, memory, mixer], coaching, .. } = level;
-    let tensors = tensors(online.agents.shape());
+    let tensors = online.agents.shape().tensors();
     for (name, networks) in [("online", online), ("target", target)] {
         state.tensors(&format!("agents/{name}"), &tensors, networks.agents.parameters_mut())?;
         state.vector(&format!("mixer/{name}"), networks.mixer.parameters_mut())?;

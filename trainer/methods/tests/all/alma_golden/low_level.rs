@@ -150,7 +150,7 @@ fn agents_that_see_everything_agree() {
         let states = reference::states(&case, agents, actions);
         let order = case.get("in/task_perm").data.iter().map(|task| *task as usize);
         let order = TaskOrder::of_columns(&order.collect::<Vec<_>>());
-        let agents = Agents::new(&network);
+        let agents = Agents::new(network.view());
         let utilities = agent_utilities(agents, &states, Conditioning::Input, &order);
         assert_close(&case.name, &utilities, &want.data);
     }

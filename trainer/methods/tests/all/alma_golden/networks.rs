@@ -1,13 +1,12 @@
 //! The layers against the reference's modules, on recorded inputs (`tests/golden/networks`).
 
-use sortie_methods::alma::agents::{
-    UtilityInput, UtilityNetwork, UtilityPass, UtilityShape, UtilityWeights,
-};
-use sortie_methods::alma::records::{Mixer, MixerKind, MixerPass, MixerShape, Teams};
+use sortie_methods::alma::agents::{UtilityInput, UtilityLayers};
 use sortie_nn::layers::attention::{self, AttentionShape};
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::{SparseRows, VisibleLists};
+use sortie_nn::tape::{Places, Tape};
 
+use super::reference::agents;
 use crate::files::{Case, assert_close, json_cases, safetensors_case};
 
 /// Entities of several samples: rows of agents first, then the others, as the learner orders them.
@@ -99,35 +98,8 @@ fn attention_layer_agrees() {
     }
 }
 
-fn network(case: &Case, heads: usize) -> UtilityNetwork {
-    let sizes = |name: &str| case.get(name).shape.clone();
-    let (fc1, head) = (sizes("w/_base.fc1.weight"), sizes("w/_head.fc_out.weight"));
-    let tensor = |name: &str| case.get(name).f32s();
-    UtilityNetwork::from_weights(&UtilityWeights {
-        shape: UtilityShape {
-            input: fc1[1],
-            width: fc1[0],
-            heads,
-            base: head[1],
-            actions: head[0],
-            skip: false,
-        },
-        fc1_weight: tensor("w/_base.fc1.weight"),
-        fc1_bias: tensor("w/_base.fc1.bias"),
-        attention_in_weight: tensor("w/_base.attn.in_trans.weight"),
-        attention_out_weight: tensor("w/_base.attn.out_trans.weight"),
-        attention_out_bias: tensor("w/_base.attn.out_trans.bias"),
-        fc2_weight: tensor("w/_base.fc2.weight"),
-        fc2_bias: tensor("w/_base.fc2.bias"),
-        head_weight: tensor("w/_head.fc_out.weight"),
-        head_bias: tensor("w/_head.fc_out.bias"),
-        skip_weight: Vec::new(),
-    })
-    .expect("tensors of the golden network fit")
-}
-
 fn check_utility_network(case: &Case, subtask_mask: bool) {
-    let network = network(case, 4);
+    let network = agents(case, "w/", 4);
     let shape = &case.get("in/entities").shape;
     let (samples, count) = (shape[0] * shape[1], shape[2]);
     let agents = case.get("out/q").shape[2];
@@ -155,8 +127,11 @@ fn check_utility_network(case: &Case, subtask_mask: bool) {
         input.visible.end_list();
     }
 
-    let mut pass = UtilityPass::new(network.shape());
-    let got = pass.forward(&network, &input);
+    let mut tape = Tape::default();
+    let mut pass = tape.begin(network.parameters());
+    let layers = UtilityLayers::of(network.shape(), &mut Places::default());
+    let got = layers.utilities(&mut pass, &input);
+    let got = pass.values(got);
     let want = &case.get("out/q").data;
     let actions = network.shape().actions;
     let absent = &case.get("in/entity_mask").data;
@@ -188,90 +163,4 @@ fn utility_network_with_subtask_mask_agrees() {
 #[test]
 fn utility_network_at_save_the_city_sizes_agrees() {
     check_utility_network(&safetensors_case("networks", "agent_ff_default"), true);
-}
-
-/// The reference's four hypernetworks as one: each has its own columns of the embedding and its own
-/// heads, so that nothing of one reaches another.
-fn mixer(case: &Case) -> Mixer {
-    let sizes = |name: &str| case.get(name).shape.clone();
-    let (width, input) = (sizes("w/V.fc1.weight")[0], sizes("w/V.fc1.weight")[1]);
-    let mixing = sizes("w/V.fc2.weight")[0];
-    let names = ["hyper_w_1", "hyper_b_1", "hyper_w_final", "V"];
-    let (heads, whole) = (4 * names.len(), width * names.len());
-    let shape = MixerShape { kind: MixerKind::Qmix, input, width: whole, heads, mixing };
-    let places = shape.tensors();
-    let mut parameters = vec![0.0; shape.parameters()];
-    for (block, name) in names.into_iter().enumerate() {
-        let tensor = |part: &str| case.get(&format!("w/{name}.{part}")).f32s();
-        let mut set = |place: usize, index: usize, value: f32| {
-            parameters[places[place].range.start + index] += value;
-        };
-        let start = block * width;
-        let (fc1, fc1_bias) = (tensor("fc1.weight"), tensor("fc1.bias"));
-        let attention_in = tensor("attn.in_trans.weight");
-        for i in 0..width {
-            (0..input).for_each(|d| set(0, d * whole + start + i, fc1[i * input + d]));
-            set(1, start + i, fc1_bias[i]);
-            for part in 0..3 {
-                for j in 0..width {
-                    let row = part * whole + start + i;
-                    set(2, row * whole + start + j, attention_in[(part * width + i) * width + j]);
-                }
-            }
-        }
-        let (out, out_bias) = (tensor("attn.out_trans.weight"), tensor("attn.out_trans.bias"));
-        let (fc2, fc2_bias) = (tensor("fc2.weight"), tensor("fc2.bias"));
-        for m in 0..mixing {
-            // V is the mean of its outputs.
-            let (row, share) = if name == "V" {
-                (3 * mixing, 1.0 / mixing as f32)
-            } else {
-                (block * mixing + m, 1.0)
-            };
-            set(4, row, share * fc2_bias[m]);
-            for k in 0..width {
-                let weight = share * fc2[m * width + k];
-                set(4, row, weight * out_bias[k]);
-                (0..width)
-                    .for_each(|j| set(3, row * whole + start + j, weight * out[k * width + j]));
-            }
-        }
-    }
-    Mixer::from_parameters(shape, parameters).expect("as many as the shape has")
-}
-
-#[test]
-fn flexible_mixer_agrees() {
-    for case in json_cases("mixer_flexible") {
-        let mixer = mixer(&case);
-        let shape = &case.get("in/entities").shape;
-        let (count, width) = (shape[2], shape[3]);
-        let agents = case.get("in/agent_qs").shape[2];
-        let (absent, features) = (&case.get("in/entity_mask").data, case.get("in/entities").f32s());
-        let present = |sample: usize, entity: usize| absent[sample * count + entity] == 0.0;
-        // The reference divides by absent agents as well; here a team has none.
-        let whole = |sample: &usize| (0..agents).all(|agent| present(*sample, agent));
-        let samples: Vec<usize> = (0..shape[0] * shape[1]).filter(whole).collect();
-        assert!(samples.len() > 4);
-
-        let order = Order { agents, entities: count, samples: samples.len() };
-        let mut input = UtilityInput::default();
-        for (place, entity) in order.iter() {
-            let start = (samples[place] * count + entity) * width;
-            input.rows.push_dense(&features[start..][..width]);
-        }
-        for (place, _) in order.iter().take(samples.len() * agents) {
-            for entity in (0..count).filter(|entity| present(samples[place], *entity)) {
-                input.visible.push(order.row(place, entity));
-            }
-            input.visible.end_list();
-        }
-        let all = case.get("in/agent_qs").f32s();
-        let utilities: Vec<f32> =
-            samples.iter().flat_map(|sample| &all[sample * agents..][..agents]).copied().collect();
-        let sizes = vec![agents; samples.len()];
-        let teams = Teams { input: &input, sizes: &sizes, utilities: &utilities };
-        let want: Vec<f64> = samples.iter().map(|s| case.get("out/q_tot").data[*s]).collect();
-        assert_close(&case.name, MixerPass::default().forward(&mixer, teams), &want);
-    }
 }

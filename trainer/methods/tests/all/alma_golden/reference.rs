@@ -1,6 +1,6 @@
 //! Weights and masks of the reference's low level as ours.
 
-use sortie_methods::alma::agents::{UtilityNetwork, UtilityShape, UtilityWeights};
+use sortie_methods::alma::agents::{UtilityNetwork, UtilityShape, transpose};
 use sortie_methods::alma::windows::{NO_TASK, WindowShape, Windows};
 
 use crate::files::Case;
@@ -53,27 +53,29 @@ pub(crate) fn agents(case: &Case, prefix: &str, heads: usize) -> UtilityNetwork 
         columns.push((embedding.shape[1], embedding.f32s()));
     }
     let row = |e: usize| columns.iter().flat_map(move |(count, all)| &all[e * count..][..*count]);
-    UtilityNetwork::from_weights(&UtilityWeights {
-        shape: UtilityShape {
-            input: columns.iter().map(|(count, _)| count).sum(),
-            width: fc1[0],
-            heads,
-            base: head[1],
-            actions: head[0],
-            skip: false,
-        },
-        fc1_weight: (0..fc1[0]).flat_map(row).copied().collect(),
-        fc1_bias: tensor("_base.fc1.bias"),
-        attention_in_weight: tensor("_base.attn.in_trans.weight"),
-        attention_out_weight: tensor("_base.attn.out_trans.weight"),
-        attention_out_bias: tensor("_base.attn.out_trans.bias"),
-        fc2_weight: tensor("_base.fc2.weight"),
-        fc2_bias: tensor("_base.fc2.bias"),
-        head_weight: tensor("_head.fc_out.weight"),
-        head_bias: tensor("_head.fc_out.bias"),
-        skip_weight: Vec::new(),
-    })
-    .expect("tensors of the recorded network fit")
+    let shape = UtilityShape {
+        input: columns.iter().map(|(count, _)| count).sum(),
+        width: fc1[0],
+        heads,
+        base: head[1],
+        actions: head[0],
+        skip: false,
+    };
+    let embed: Vec<f32> = (0..fc1[0]).flat_map(row).copied().collect();
+    let mut parameters = transpose(&embed, shape.width, shape.input);
+    for part in [
+        "_base.fc1.bias",
+        "_base.attn.in_trans.weight",
+        "_base.attn.out_trans.weight",
+        "_base.attn.out_trans.bias",
+        "_base.fc2.weight",
+        "_base.fc2.bias",
+        "_head.fc_out.weight",
+        "_head.fc_out.bias",
+    ] {
+        parameters.extend(tensor(part));
+    }
+    UtilityNetwork::from_parameters(shape, parameters).expect("tensors of the recorded network fit")
 }
 
 /// The states of a recorded network case as windows of one step: entities, who is there, who works on

@@ -143,7 +143,7 @@ impl LowLevel {
     /// What agents act by.
     pub fn players(&self) -> Agents<'_> {
         Agents {
-            network: &self.online.agents,
+            network: self.online.agents.view(),
             memory_unit: &self.online.gru,
             coach: self.coaching.as_ref().map(|coaching| &coaching.online),
         }

@@ -175,7 +175,7 @@ fn gradients_agree_with_finite_differences() {
         for tensor in fresh.online.agents.shape().tensors() {
             let parameters = &fresh.online.agents.parameters()[tensor.range.clone()];
             let gradient = &agents[tensor.range.clone()];
-            assert_gradient(tensor.name, parameters, gradient, |parameters| {
+            assert_gradient(&tensor.name, parameters, gradient, |parameters| {
                 let mut moved = fresh.clone();
                 moved.online.agents.parameters_mut()[tensor.range.clone()]
                     .copy_from_slice(parameters);
@@ -259,7 +259,7 @@ fn discounted_values(learner: &LowLevel, windows: &Windows) -> Vec<f64> {
     let actions = windows.shape.actions;
     let conditioning = learner.config.conditioning;
     let utilities = |networks: &LowLevelNetworks| {
-        agent_utilities(Agents::new(&networks.agents), windows, conditioning, &order)
+        agent_utilities(Agents::new(networks.agents.view()), windows, conditioning, &order)
     };
     let (online, target) = (utilities(&learner.online), utilities(&learner.target));
     let best = |row: &[f32]| (0..actions).max_by(|a, b| row[*a].total_cmp(&row[*b]));

@@ -90,9 +90,9 @@ pub fn agent_utilities(
     conditioning: Conditioning,
     order: &TaskOrder,
 ) -> Vec<f32> {
-    let parameters = [agents.network.parameters(), agents.memory_unit].concat();
+    let parameters = [agents.network.parameters, agents.memory_unit].concat();
     let recurrent = !agents.memory_unit.is_empty();
-    let layers = AgentLayers::of(agents.network.shape(), recurrent, &mut Places::default());
+    let layers = AgentLayers::of(agents.network.shape, recurrent, &mut Places::default());
     let look = Look::new((windows, View::NOW), conditioning, order);
     let WindowShape { windows: count, steps, agents, actions, .. } = windows.shape;
     let mut utilities = vec![0.0; windows.shape.states() * agents * actions];

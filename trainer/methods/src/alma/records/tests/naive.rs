@@ -4,25 +4,32 @@
 //! environment it takes dense rows and travel times, which recorded episodes check.
 
 use sortie_envs::members;
+use sortie_envs::random::generator;
 use sortie_envs::save_the_city::{
     AgentState, BuildingState, City, FEATURES, RELATIONS, agent_relation, building_relation,
     with_city, write_agent_row, write_building_row,
 };
-use sortie_learn::random::{Purpose, generator};
 
-use super::team_value::{Decision, Segments, TeamValueLoss};
-use super::toy::{Fixed, begin, fixed, observer, play, usual};
-use super::{Chunk, Config, Experience, Loss, MixedNetwork, Mixer, Networks, Pick, Replay, Sample};
-use crate::alma::agents::{Conditioning, NO_ACTION, UtilityNetwork, UtilityShape};
+use super::{city, gradient, played, samples, usual};
+use crate::alma::agents::{Conditioning, NO_ACTION, UtilityNetwork, transpose};
+use crate::alma::records::lesson::{Drawn, Experience, Networks};
+use crate::alma::records::replay::Moment;
+use crate::alma::records::team_value::{DrawnSegment, TeamValues};
+use crate::alma::records::{Config, Sample};
 
 type Row = Vec<f64>;
 
 /// What a network says to the entity of the row `own` that sees the rows `seen` (dissertation section 2.3).
 fn outputs(network: &UtilityNetwork, own: &Row, seen: &[Row]) -> Vec<f64> {
     let shape = network.shape();
-    let weights = network.weights();
-    let embed = |row: &Row| rectified(affine(&weights.fc1_weight, &weights.fc1_bias, row));
-    let (query, rest) = weights.attention_in_weight.split_at(shape.width * shape.width);
+    let tensors = shape.tensors();
+    let tensor = |name: &str| {
+        let found = tensors.iter().find(|tensor| tensor.name == name);
+        &network.parameters()[found.map_or(0..0, |tensor| tensor.range.clone())]
+    };
+    let fc1 = transpose(tensor("fc1.weight"), shape.input, shape.width);
+    let embed = |row: &Row| rectified(affine(&fc1, tensor("fc1.bias"), row));
+    let (query, rest) = tensor("attention.in.weight").split_at(shape.width * shape.width);
     let (key, value) = rest.split_at(shape.width * shape.width);
     let no_bias = vec![0.0; shape.width];
     let query = affine(query, &no_bias, &embed(own));
@@ -45,13 +52,14 @@ fn outputs(network: &UtilityNetwork, own: &Row, seen: &[Row]) -> Vec<f64> {
             }
         }
     }
-    let mut looked = affine(&weights.attention_out_weight, &weights.attention_out_bias, &attended);
+    let mut looked =
+        affine(tensor("attention.out.weight"), tensor("attention.out.bias"), &attended);
     if shape.skip {
-        let past = affine(&weights.skip_weight, &no_bias, &embed(own));
+        let past = affine(tensor("skip.weight"), &no_bias, &embed(own));
         looked.iter_mut().zip(past).for_each(|(looked, past)| *looked += past);
     }
-    let base = affine(&weights.fc2_weight, &weights.fc2_bias, &rectified(looked));
-    affine(&weights.head_weight, &weights.head_bias, &rectified(base))
+    let base = affine(tensor("fc2.weight"), tensor("fc2.bias"), &rectified(looked));
+    affine(tensor("head.weight"), tensor("head.bias"), &rectified(base))
 }
 
 /// `matrix [out, in]` times `input`, plus `bias`.
@@ -127,29 +135,12 @@ fn assert_near(what: &str, got: f64, want: f64) {
     assert!((got - want).abs() <= 1e-4 * (0.01 + want), "{what}: {got}, by the rules {want}");
 }
 
-fn config(subtask: Conditioning) -> Config {
+fn config(subtask: Conditioning, skip: bool) -> Config {
     let mut config = usual();
     config.allocation.heuristic = 1.0;
-    config.network.subtask = subtask;
+    (config.network.subtask, config.network.skip) = (subtask, skip);
     (config.network.width, config.network.base) = (8, 6);
     config
-}
-
-fn network(config: &Config, seed: u64) -> MixedNetwork {
-    let mut weights = generator(seed, Purpose::Weights, 0);
-    let shape = config.network.shape(observer(config).spec());
-    MixedNetwork {
-        utility: UtilityNetwork::initialise(shape, 8.0, &mut weights),
-        mixer: Mixer::initialise(config.mixer.shape(shape.input), 8.0, &mut weights),
-    }
-}
-
-/// Records of agents that act at random.
-fn replay(config: &Config) -> Replay {
-    let mut method =
-        Fixed { epsilon: 1.0, decides_from: u64::MAX, segments: None, ..fixed(config, 1) };
-    play(&mut begin(config, 4, &mut method), &mut method, 40);
-    method.records
 }
 
 /// What a team sees of a state.
@@ -200,8 +191,8 @@ fn squared_error(
 ) -> f64 {
     let columns = online.shape().input;
     let [now, next] = [false, true].map(|next| sight(sample, map, columns, next));
-    let task = usize::from(sample.record.task);
-    let team: Vec<usize> = members(sample.team().into()).collect();
+    let task = sample.task;
+    let team: Vec<usize> = members(sample.now.team(task).into()).collect();
     let seen = |sight: &Sight| {
         let row = |agent: usize| sight.agents[agent].0.clone();
         match subtask {
@@ -217,7 +208,7 @@ fn squared_error(
     };
     let (seen_now, seen_next) = (seen(&now), seen(&next));
     let mut value = 0.0;
-    let mut wanted = f64::from(sample.record.reward);
+    let mut wanted = f64::from(sample.reward);
     for agent in &team {
         let action = map.action(sample.now.actions[*agent]);
         value += outputs(online, &now.agents[*agent].0, &seen_now)[usize::from(action)];
@@ -226,7 +217,7 @@ fn squared_error(
         let is_available = |action: &usize| available >> action & 1 == 1;
         let best = (0..12).filter(is_available).max_by(|a, b| liked[*a].total_cmp(&liked[*b]));
         let valued = outputs(target, row, &seen_next)[best.unwrap()];
-        wanted += f64::from(sample.record.discount) * valued;
+        wanted += f64::from(sample.discount) * valued;
     }
     (value - wanted) * (value - wanted)
 }
@@ -240,60 +231,48 @@ fn the_loss_of_every_record_is_that_of_the_rules() {
         (Conditioning::Mask, true),
         (Conditioning::None, true),
     ] {
-        let mut config = config(subtask);
-        config.network.skip = skip;
-        let (replay, online, target) = (replay(&config), network(&config, 1), network(&config, 2));
-        let environment = observer(&config);
-        let experience = Experience { environment: &*environment, replay: &replay };
-        let mut chunk = Chunk::new(&online, subtask, config.mixer.reward_factor());
-        for sample in (0..replay.len()).step_by(7) {
-            let symmetry = (sample % 8) as u8;
-            let networks = Networks { online: &online, target: &target };
-            let pick = Pick { sample: sample as u32, symmetry, draw: 0 };
-            chunk.learn(networks, experience, &[pick]);
-            let (record, map) = (replay.get(sample), Map(symmetry));
-            let want = squared_error(&online.utility, &target.utility, &record, map, subtask);
-            let what = format!("{subtask:?}, skip {skip}, record {sample}, map {symmetry}");
-            assert_near(&what, chunk.squared_error(), want);
-            // The mean is taken over so many.
-            let networks = Networks { online: &online, target: &target };
-            chunk.learn(networks, experience, &[pick; 3]);
-            assert_eq!(chunk.terms(), 3, "{what}");
-            assert_near(&what, chunk.squared_error(), 3.0 * want);
+        let config = config(subtask, skip);
+        let (method, city) = (played(config.clone(), 40), city(&config));
+        let network = |seed| Networks::new(&config, city.spec(), &mut generator(seed));
+        let ((networks, online), (_, target)) = (network(1), network(2));
+        let utility = |parameters: &[f32]| {
+            UtilityNetwork::from_parameters(networks.shape, parameters.to_vec()).unwrap()
+        };
+        let experience = Experience { environment: &*city, replay: &method.replay };
+        let mut ended = 0;
+        for (number, sample) in samples(&method, 100).into_iter().enumerate() {
+            let symmetry = number % 8;
+            let drawn = Drawn { sample, turn: symmetry, marks: 0 };
+            let losses = |drawn: &[Drawn], of| {
+                let weights = [&online.values[..], &target.values];
+                gradient(weights, |shard| networks.loss(shard, experience, drawn, of)).0
+            };
+            let [own, other] = [&online, &target].map(|all| utility(&all.values));
+            let (sample, map) = (method.replay.sample(sample), Map(symmetry as u8));
+            let want = squared_error(&own, &other, &sample, map, subtask);
+            let what = format!("{subtask:?}, skip {skip}, record {number}, map {symmetry}");
+            assert_near(&what, losses(&[drawn], 1), want);
+            assert_near(&what, losses(&[drawn; 3], 3), want);
+            ended += usize::from(sample.discount == 0.0);
         }
+        assert!(subtask == Conditioning::None || ended < 100, "{ended} ended");
     }
 }
 
-fn allocator_config() -> Config {
+fn allocator_config(skip: bool) -> Config {
     let mut config = usual();
     // Decisions that differ from one another.
     (config.allocator.moved, config.allocator.moved_decisions) = (0.5, 1.0);
     (config.allocator.network.width, config.allocator.network.base) = (8, 6);
+    config.allocator.network.skip = skip;
     (config.network.width, config.network.base) = (8, 6);
     config.environment.settings.insert("episode_limit".into(), 40.into());
     config
 }
 
-fn allocator_network(seed: u64, skip: bool) -> UtilityNetwork {
-    let mut weights = generator(seed, Purpose::Weights, 0);
-    let shape = UtilityShape {
-        skip,
-        ..allocator_config().allocator.shape(observer(&allocator_config()).spec())
-    };
-    UtilityNetwork::initialise(shape, 8.0, &mut weights)
-}
-
-/// Segments of agents that act at random.
-fn segments() -> Segments {
-    let config = allocator_config();
-    let mut method = Fixed { epsilon: 1.0, decides_from: u64::MAX, ..fixed(&config, 1_000) };
-    play(&mut begin(&config, 4, &mut method), &mut method, 100);
-    method.segments.unwrap()
-}
-
 /// What a network expects of the team that a decision sends to a building.
-fn value(network: &UtilityNetwork, decision: &Decision, task: usize, map: Map) -> f64 {
-    with_city(&decision.state, |city| value_in(network, city, &decision.allocation, task, map))
+fn value(network: &UtilityNetwork, decision: Moment<'_>, task: usize, map: Map) -> f64 {
+    with_city(decision.state, |city| value_in(network, city, decision.allocation, task, map))
 }
 
 fn value_in(
@@ -332,35 +311,43 @@ fn the_loss_of_every_segment_is_that_of_the_rules() {
 }
 
 fn check_losses(skip: bool) {
-    let (segments, online, target) =
-        (segments(), allocator_network(1, skip), allocator_network(2, skip));
-    let mut loss = TeamValueLoss::new(online.shape());
-    let environment = observer(&allocator_config());
-    let experience = Experience { environment: &*environment, replay: &segments };
-    let (mut moved, mut ended, mut closed) = (0, 0, 0);
-    for sample in 0..segments.len() {
-        let segment = segments.get(sample);
-        let symmetry = (sample % 8) as u8;
-        let open = |decision: &Decision| with_city(&decision.state, |city| city.open_tasks());
-        let (now, next) = (open(&segment.now), open(&segment.next));
-        for (draw, task) in (0..).zip(members(now.into())) {
-            let pick = Pick { sample: sample as u32, symmetry, draw };
-            loss.learn(Networks { online: &online, target: &target }, experience, &[pick]);
-            let mut wanted = f64::from(segment.rewards[task]);
-            if next >> task & 1 == 1 {
-                let next = value(&target, &segment.next, task, Map(symmetry));
-                wanted += f64::from(segment.discount) * next;
-                moved += usize::from(segment.next.team(task) != segment.now.team(task));
-            } else {
-                closed += 1;
-            }
-            ended += usize::from(segment.discount == 0.0);
-            let error = value(&online, &segment.now, task, Map(symmetry)) - wanted;
-            let what = format!("segment {sample}, building {task}, map {symmetry}");
-            assert_near(&what, loss.squared_error(), error * error);
-            loss.learn(Networks { online: &online, target: &target }, experience, &[pick; 3]);
-            assert_eq!(loss.terms(), 3, "{what}");
+    let config = allocator_config(skip);
+    let (method, city) = (played(config.clone(), 100), city(&config));
+    let network = |seed| TeamValues::new(&config.allocator, city.spec(), &mut generator(seed));
+    let ((values, online), (_, target)) = (network(1), network(2));
+    let utility = |parameters: &[f32]| {
+        UtilityNetwork::from_parameters(values.shape, parameters.to_vec()).unwrap()
+    };
+    let [own, other] = [&online, &target].map(|all| utility(&all.values));
+    let segments = &method.allocator.as_ref().unwrap().segments;
+    let experience = (&*city, segments);
+    let (mut random, mut seen) = (generator(3), Default::default());
+    let (mut moved, mut closed) = (0, 0);
+    for number in 0..600 {
+        let drawn = DrawnSegment::draw(experience, 8, &mut seen, &mut random).unwrap();
+        let DrawnSegment { place, task, turn } = drawn;
+        let map = Map(turn as u8);
+        let agents = city.spec().shape.agents;
+        let [now, next] =
+            [place, place.after(1)].map(|place| Moment::read(segments.state(place), agents));
+        let mut wanted = f64::from(segments.rewards(place).tasks[task]);
+        let goes_on = segments.end(place) == sortie_learn::trajectory::End::Open
+            && with_city(next.state, |city| city.open_tasks()) >> task & 1 == 1;
+        if goes_on {
+            let next_value = value(&other, next, task, map);
+            wanted += f64::from(*segments.note(place)) * next_value;
+            moved += usize::from(next.team(task) != now.team(task));
+        } else {
+            closed += 1;
+        }
+        let error = value(&own, now, task, map) - wanted;
+        let what = format!("segment {number}, building {task}, map {turn}");
+        for drawn in [&[drawn][..], &[drawn; 3]] {
+            let weights = [&online.values[..], &target.values];
+            let loss =
+                gradient(weights, |shard| values.loss(shard, experience, drawn, drawn.len()));
+            assert_near(&what, loss.0, error * error);
         }
     }
-    assert!(moved > 100 && closed > 10, "{moved} other teams, {closed} closed, {ended} ended");
+    assert!(moved > 100 && closed > 10, "{moved} other teams, {closed} closed");
 }
