@@ -6,6 +6,7 @@ use sortie_nn::tape::Parameters;
 
 use super::*;
 use crate::alma::records::Records;
+use crate::alma::records::replay::Sample;
 use crate::alma::records::tests::{begin, city, play, played, samples, usual};
 
 fn config(episode_limit: i64) -> Config {
@@ -75,6 +76,34 @@ fn records_reach_to_the_state_in_which_time_ran_out() {
         }
     }
     assert!(last[0] > 50 && last[1] > 50, "{last:?}");
+}
+
+#[test]
+fn samples_reach_no_further_than_their_team_and_their_subtask() {
+    let config = config(200);
+    let method = played(config.clone(), 600);
+    let mut environment = city(&config).open(1, sortie_envs::Split::Test);
+    let mut seen = Observation::default();
+    let (mut moved, mut stayed) = (0, 0);
+    for drawn in samples(&method, 2_000) {
+        let Sample { task, now, next, discount, .. } = method.replay.sample(drawn);
+        if discount == 0.0 {
+            continue;
+        }
+        environment.observe(next.state, 0, 0, &mut seen);
+        assert_eq!(seen.open_tasks >> task & 1, 1, "who goes on has something to go on with");
+        let [from, to] = [now, next].map(|moment| {
+            environment.load(0, moment.state).unwrap();
+            environment.episode(0).steps
+        });
+        if to - from < 3 && to < 200 {
+            assert_ne!(now.team(task), next.team(task), "from step {from} to step {to}");
+            moved += 1;
+        } else {
+            stayed += 1;
+        }
+    }
+    assert!(moved > 50 && stayed > 50, "{moved} {stayed}");
 }
 
 #[test]
