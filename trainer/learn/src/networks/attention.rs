@@ -1,7 +1,6 @@
 //! Entities embedded and attended to: what agents and hypernetworks begin with (dissertation section 2.3).
 
 use sortie_nn::layers::linear::LinearShape;
-use sortie_nn::layers::split_attention::{HEADS, WIDTHS};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
@@ -79,9 +78,8 @@ impl EntityAttention {
             pass.gather(queries, view.own)
         };
         let keys_values = pass.linear(embeddings, self.keys_values);
-        let is_built = self.heads == HEADS && WIDTHS.contains(&self.queries.shape.output);
-        let output = if is_built || view.imagines {
-            pass.split_attention(queries, keys_values, view.lists, view.imagines)
+        let output = if view.imagines {
+            pass.split_attention(queries, keys_values, view.lists, true)
         } else {
             pass.attention(queries, keys_values, view.lists, self.heads)
         };

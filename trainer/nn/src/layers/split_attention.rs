@@ -37,6 +37,12 @@ pub struct Forward<'a> {
 /// The widths that attention is built for.
 pub const WIDTHS: [usize; 4] = [16, 32, 64, 128];
 
+/// Whether attention of so many heads at a width can be had here: the same bits as [`attention`](super::attention)'s, in
+/// less time.
+pub fn is_built_for(width: usize, heads: usize) -> bool {
+    heads == HEADS && WIDTHS.contains(&width)
+}
+
 /// Attends, at a width of 16, 32, 64 or 128. There are as many blocks as `output` has room for.
 pub fn forward(width: usize, lists: &VisibleLists, pass: Forward<'_>) {
     run_widest(ForwardWork { width, lists, pass });

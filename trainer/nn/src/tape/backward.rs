@@ -9,7 +9,7 @@ use crate::layers::gru::GruShape;
 use crate::layers::matrix::Store;
 use crate::layers::{
     attention, attention_scores, elementwise, linear, normalise, relu, softmax, sparse_linear,
-    unfold,
+    split_attention, unfold,
 };
 
 impl Pass<'_> {
@@ -408,22 +408,38 @@ impl Tape {
         let visible = &self.lists.things[lists as usize];
         let ranges = [queries, keys_values].map(|var| self.of(var).range());
         let [q, kv] = ranges.clone().map(|range| &self.values[range]);
-        let longest = (0..visible.queries()).map(|query| visible.span(query).1.len()).max();
-        let numbers = [q.len(), kv.len(), longest.unwrap_or(0) * shape.heads];
+        let numbers = [q.len(), kv.len(), visible.pairs() * shape.heads];
         let mut scratch = mem::take(&mut self.scratch);
         let space = sized(&mut scratch, numbers.iter().sum());
         let (d_queries, space) = space.split_at_mut(numbers[0]);
         let (d_keys_values, d_scores) = space.split_at_mut(numbers[1]);
-        let pass = attention::Backward {
-            queries: q,
-            keys_values: kv,
-            weights: &self.values[weights..][..visible.pairs() * shape.heads],
-            d_output: &self.slopes[own],
-            d_scores,
-            d_queries: &mut *d_queries,
-            d_keys_values: &mut *d_keys_values,
-        };
-        attention::backward(shape, visible, pass);
+        let weights = &self.values[weights..][..visible.pairs() * shape.heads];
+        let d_output = &self.slopes[own];
+        if split_attention::is_built_for(shape.width, shape.heads) {
+            let pass = split_attention::Backward {
+                queries: q,
+                keys_values: kv,
+                weights,
+                shares: &[],
+                output: &[],
+                d_output,
+                d_scores,
+                d_queries: &mut *d_queries,
+                d_keys_values: &mut *d_keys_values,
+            };
+            split_attention::backward(shape.width, visible, pass);
+        } else {
+            let pass = attention::Backward {
+                queries: q,
+                keys_values: kv,
+                weights,
+                d_output,
+                d_scores,
+                d_queries: &mut *d_queries,
+                d_keys_values: &mut *d_keys_values,
+            };
+            attention::backward(shape, visible, pass);
+        }
         self.keep(keys_values, d_keys_values);
         self.keep(queries, d_queries);
         self.scratch = scratch;

@@ -6,7 +6,7 @@ use crate::layers::gru::GruShape;
 use crate::layers::unfold::UnfoldShape;
 use crate::layers::{
     SparseRows, VisibleLists, attention, attention_scores, linear, normalise, relu, sparse_linear,
-    unfold,
+    split_attention, unfold,
 };
 
 impl Pass<'_> {
@@ -153,7 +153,19 @@ impl Pass<'_> {
         let (weights, rest) = rest.split_at_mut(range.start - weights);
         let [queries, keys_values] = ranges.map(|range| &before[range]);
         let out = &mut rest[..count * width];
-        attention::forward(shape, visible, queries, keys_values, &mut weights[..pairs], out);
+        let weights = &mut weights[..pairs];
+        if split_attention::is_built_for(width, heads) {
+            let pass = split_attention::Forward {
+                queries,
+                keys_values,
+                weights,
+                shares: &mut [],
+                output: out,
+            };
+            split_attention::forward(width, visible, pass);
+        } else {
+            attention::forward(shape, visible, queries, keys_values, weights, out);
+        }
         y
     }
 
