@@ -359,3 +359,83 @@ impl<'a> Part<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::attention::{self, AttentionShape};
+    use super::*;
+    use crate::gradient_check::random;
+
+    const ROWS: usize = 13;
+
+    /// Lists of odd and even lengths.
+    fn lists() -> VisibleLists {
+        let mut lists = VisibleLists::default();
+        for length in [1, 2, 3, 8, ROWS] {
+            (0..length).for_each(|place| lists.push((5 * place + length) % ROWS));
+            lists.end_list();
+        }
+        lists
+    }
+
+    fn bits(numbers: &[f32]) -> Vec<u32> {
+        numbers.iter().map(|number| number.to_bits()).collect()
+    }
+
+    #[test]
+    fn without_parts_all_bits_are_those_of_attention() {
+        let lists = lists();
+        let (agents, pairs) = (lists.queries(), HEADS * lists.pairs());
+        for width in WIDTHS {
+            assert!(is_built_for(width, HEADS) && !is_built_for(width, 2));
+            let shape = AttentionShape { width, heads: HEADS };
+            let (queries, keys_values) = (random(1, agents * width), random(2, ROWS * 2 * width));
+            let blank = |count: usize| vec![f32::NAN; count];
+            let [mut weights, mut others] = [blank(pairs), blank(pairs)];
+            let [mut output, mut other] = [blank(agents * width), blank(agents * width)];
+            attention::forward(shape, &lists, &queries, &keys_values, &mut weights, &mut output);
+            let (queries, keys_values) = (&*queries, &*keys_values);
+            let (shares, weights_here) = (&mut [], &mut *others);
+            let pass =
+                Forward { queries, keys_values, weights: weights_here, shares, output: &mut other };
+            forward(width, &lists, pass);
+            assert_eq!((bits(&weights), bits(&output)), (bits(&others), bits(&other)), "{width}");
+
+            let (d_output, weights) = (&*random(3, agents * width), &*weights);
+            let slopes = |descend: &dyn Fn(&mut [f32], &mut [f32], &mut [f32])| {
+                let mut space = blank(pairs);
+                let [mut d_queries, mut d_keys] = [queries, keys_values].map(|it| blank(it.len()));
+                descend(&mut space, &mut d_queries, &mut d_keys);
+                (bits(&d_queries), bits(&d_keys))
+            };
+            let want = slopes(&|d_scores, d_queries, d_keys_values| {
+                let pass = attention::Backward {
+                    queries,
+                    keys_values,
+                    weights,
+                    d_output,
+                    d_scores,
+                    d_queries,
+                    d_keys_values,
+                };
+                attention::backward(shape, &lists, pass);
+            });
+            let found = slopes(&|d_scores, d_queries, d_keys_values| {
+                let (shares, output) = (&[], &[]);
+                let pass = Backward {
+                    queries,
+                    keys_values,
+                    weights,
+                    shares,
+                    output,
+                    d_output,
+                    d_scores,
+                    d_queries,
+                    d_keys_values,
+                };
+                backward(width, &lists, pass);
+            });
+            assert_eq!(found, want, "{width}");
+        }
+    }
+}
