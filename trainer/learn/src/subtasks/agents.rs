@@ -2,31 +2,11 @@
 
 use sortie_core::policy::{NO_ACTION as NO_ACTION_YET, Observation, Policy, visible};
 use sortie_core::{DecideError, EntityMask};
-use sortie_envs::{ActionSet, Environment, Random, UNASSIGNED, members};
+use sortie_envs::{ActionSet, Random, UNASSIGNED, members};
 
 use super::{Agents, AllocatedScene, NO_ACTION};
 use crate::error::LearnError;
 use crate::random::{Purpose, generator};
-
-/// Takes from every agent the actions that apply to another subtask than its own ([`Environment::subtask_of`]). Who would be
-/// left with none keeps them all.
-pub fn keep_to_subtasks(
-    environment: &dyn Environment,
-    state: &[u8],
-    allocation: &[u8],
-    available: &mut [ActionSet],
-) {
-    for (agent, (open, own)) in available.iter_mut().zip(allocation).enumerate() {
-        let keeps = |action: &usize| {
-            let subtask = environment.subtask_of(state, agent, *action as u16);
-            subtask.is_none_or(|subtask| subtask == usize::from(*own))
-        };
-        let kept = members((*open).into()).filter(keeps).fold(0, |kept, action| kept | 1 << action);
-        if kept != 0 {
-            *open = kept;
-        }
-    }
-}
 
 /// What the agents of a scene are shown under the subtask mask: present entities, of which each sees those of its own
 /// subtask (dissertation section 7.3).
@@ -157,42 +137,8 @@ mod tests {
     use crate::evaluate::Evaluation;
     use crate::play::evaluate;
     use crate::subtasks::{AllocatedTeam, RuleAllocator};
-    use sortie_envs::random::member;
     use sortie_envs::save_the_city::{Scenario, ScenarioSet};
-    use sortie_envs::{DecisionPoints, EntitySet, Split};
-
-    /// In a city agents work at buildings beside which they stand, whatever else they may do.
-    #[test]
-    fn agents_keep_to_their_subtasks() {
-        let name = "save-the-city/2-5a_2-5b";
-        let mut city = sortie_envs::open(name, Split::Train, 1, &Default::default()).unwrap();
-        let mut random = sortie_envs::random::generator(1);
-        let (mut seen, mut counts) = (sortie_envs::Observation::default(), [0, 0]);
-        city.reset(0, &mut random);
-        while counts.iter().any(|count| *count < 20) {
-            let mut state = Vec::new();
-            city.save(0, &mut state);
-            city.observe(&state, 0, EntitySet::MAX, &mut seen);
-            for own in [0, 1, UNASSIGNED] {
-                let mut left = seen.available.clone();
-                keep_to_subtasks(&*city, &state, &vec![own; seen.agents()], &mut left);
-                assert_eq!(left[seen.agents()..], seen.available[seen.agents()..]);
-                for (agent, left) in left.iter().enumerate().take(seen.agents()) {
-                    for action in members(seen.available[agent].into()) {
-                        let subtask = city.subtask_of(&state, agent, action as u16);
-                        let is_kept = subtask.is_none_or(|it| it == usize::from(own));
-                        assert_eq!(left >> action & 1 == 1, is_kept, "{agent} {action}");
-                        counts[usize::from(is_kept)] += usize::from(subtask.is_some());
-                    }
-                }
-            }
-            let any = |open: &ActionSet| member(&mut random, (*open).into()).unwrap_or(0) as u16;
-            let actions: Vec<u16> = seen.available.iter().map(any).collect();
-            if city.step(0, &actions, &mut random).unwrap().done() {
-                city.reset(0, &mut random);
-            }
-        }
-    }
+    use sortie_envs::{DecisionPoints, Split};
 
     /// What the script of a city comes to under a rule.
     fn measured(set: &str, split: Split, episodes: usize, rule: &'static str) -> Evaluation {

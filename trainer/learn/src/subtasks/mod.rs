@@ -14,7 +14,7 @@ use crate::act::Thought;
 use crate::error::LearnError;
 use crate::export::{AttentionNetwork, ExportError};
 
-pub use agents::{MaskedViews, PolicyAgents, ScriptedAgents, keep_to_subtasks};
+pub use agents::{MaskedViews, PolicyAgents, ScriptedAgents};
 pub use allocators::{DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state};
 pub use team::AllocatedTeam;
 

@@ -1,10 +1,9 @@
 use sortie_envs::random::generator;
 use sortie_learn::networks::MixerKind;
-use sortie_nn::gradient_check::assert_gradient;
 
 use super::*;
 use crate::alma::records::Records;
-use crate::alma::records::tests::{city, gradient, played, samples, usual};
+use crate::alma::records::tests::{assert_gradients, city, gradient, played, samples, usual};
 
 /// Few samples, so that finite differences cross few kinks.
 const BATCH: usize = 16;
@@ -50,20 +49,9 @@ fn the_gradient_of_the_whole_loss_agrees_with_finite_differences() {
         let network = |seed| Networks::new(&config, city.spec(), &mut generator(seed));
         let ((networks, online), (_, target)) = (network(1), network(2));
         let experience = Experience { environment: &*city, replay: &method.replay };
-        let loss = |online: &[f32]| {
-            gradient([online, &target.values], |shard: &mut Shard<'_, Lesson>| {
-                networks.loss(shard, experience, &drawn, BATCH)
-            })
-        };
-        let (_, slopes) = loss(&online.values);
-        for tensor in online.tensors() {
-            let at = &online.values[tensor.range.clone()];
-            assert_gradient(&tensor.name, at, &slopes[tensor.range.clone()], |moved| {
-                let mut online = online.values.clone();
-                online[tensor.range.clone()].copy_from_slice(moved);
-                loss(&online).0
-            });
-        }
+        assert_gradients(&online, &target.values, |shard: &mut Shard<'_, Lesson>| {
+            networks.loss(shard, experience, &drawn, BATCH)
+        });
     }
 }
 

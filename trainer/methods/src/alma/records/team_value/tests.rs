@@ -12,8 +12,8 @@ use super::*;
 use crate::alma::agents::UtilityNetwork;
 use crate::alma::records::config::AllocatorConfig;
 use crate::alma::records::replay::Moment;
-use crate::alma::records::tests::gradient;
 use crate::alma::records::tests::toy::{AGENTS, Street, toy};
+use crate::alma::records::tests::{assert_gradients, gradient};
 
 fn environment(set: &str, instances: usize) -> Box<dyn Environment> {
     let name = format!("save-the-city/{set}");
@@ -287,19 +287,9 @@ fn the_gradient_of_the_loss_agrees_with_finite_differences() {
     let drawn = drawn(&segments, 20);
     for skip in [false, true] {
         let ((values, online), (_, target)) = (values(skip, 1), values(skip, 2));
-        let loss = |online: &[f32]| {
-            let experience = (&toy() as &dyn Environment, &segments);
-            gradient([online, &target.values], |shard| values.loss(shard, experience, &drawn, 20))
-        };
-        let (_, slopes) = loss(&online.values);
-        for tensor in online.tensors() {
-            let at = &online.values[tensor.range.clone()];
-            assert_gradient(&tensor.name, at, &slopes[tensor.range.clone()], |moved| {
-                let mut online = online.values.clone();
-                online[tensor.range.clone()].copy_from_slice(moved);
-                loss(&online).0
-            });
-        }
+        assert_gradients(&online, &target.values, |shard| {
+            values.loss(shard, (&toy() as &dyn Environment, &segments), &drawn, 20)
+        });
     }
 }
 

@@ -10,6 +10,7 @@ use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
 use sortie_learn::trajectory::Place;
 use sortie_learn::{Method, Now};
+use sortie_nn::gradient_check::assert_gradient;
 use sortie_nn::tape::Parameters;
 
 use super::{Config, Records};
@@ -77,4 +78,21 @@ pub(super) fn gradient<S: Default + Send>(
     learner.target = target.to_vec();
     let found = learner.update(1, 0.0, loss);
     (found.loss, learner.gradient().to_vec())
+}
+
+/// Asserts that a loss's gradient by every tensor of a network is its slope, where `target` is the other network.
+pub(super) fn assert_gradients<S: Default + Send>(
+    online: &Parameters,
+    target: &[f32],
+    loss: impl Fn(&mut Shard<'_, S>) -> Loss + Sync,
+) {
+    let (_, slopes) = gradient([&online.values, target], &loss);
+    for tensor in online.tensors() {
+        let range = tensor.range.clone();
+        assert_gradient(&tensor.name, &online.values[range.clone()], &slopes[range], |moved| {
+            let mut online = online.values.clone();
+            online[tensor.range.clone()].copy_from_slice(moved);
+            gradient([&online, target], &loss).0
+        });
+    }
 }
