@@ -382,6 +382,20 @@ mod tests {
         numbers.iter().map(|number| number.to_bits()).collect()
     }
 
+    fn blank(count: usize) -> Vec<f32> {
+        vec![f32::NAN; count]
+    }
+
+    /// The bits of what a backward pass writes into space of these sizes, the scores' left out.
+    fn slopes(
+        sizes: [usize; 3],
+        descend: impl FnOnce(&mut [f32], &mut [f32], &mut [f32]),
+    ) -> [Vec<u32>; 2] {
+        let [mut d_scores, mut d_queries, mut d_keys_values] = sizes.map(blank);
+        descend(&mut d_scores, &mut d_queries, &mut d_keys_values);
+        [bits(&d_queries), bits(&d_keys_values)]
+    }
+
     #[test]
     fn without_parts_all_bits_are_those_of_attention() {
         let lists = lists();
@@ -390,7 +404,6 @@ mod tests {
             assert!(is_built_for(width, HEADS) && !is_built_for(width, 2));
             let shape = AttentionShape { width, heads: HEADS };
             let (queries, keys_values) = (random(1, agents * width), random(2, ROWS * 2 * width));
-            let blank = |count: usize| vec![f32::NAN; count];
             let [mut weights, mut others] = [blank(pairs), blank(pairs)];
             let [mut output, mut other] = [blank(agents * width), blank(agents * width)];
             attention::forward(shape, &lists, &queries, &keys_values, &mut weights, &mut output);
@@ -402,13 +415,8 @@ mod tests {
             assert_eq!((bits(&weights), bits(&output)), (bits(&others), bits(&other)), "{width}");
 
             let (d_output, weights) = (&*random(3, agents * width), &*weights);
-            let slopes = |descend: &dyn Fn(&mut [f32], &mut [f32], &mut [f32])| {
-                let mut space = blank(pairs);
-                let [mut d_queries, mut d_keys] = [queries, keys_values].map(|it| blank(it.len()));
-                descend(&mut space, &mut d_queries, &mut d_keys);
-                (bits(&d_queries), bits(&d_keys))
-            };
-            let want = slopes(&|d_scores, d_queries, d_keys_values| {
+            let sizes = [pairs, queries.len(), keys_values.len()];
+            let want = slopes(sizes, |d_scores, d_queries, d_keys_values| {
                 let pass = attention::Backward {
                     queries,
                     keys_values,
@@ -420,7 +428,7 @@ mod tests {
                 };
                 attention::backward(shape, &lists, pass);
             });
-            let found = slopes(&|d_scores, d_queries, d_keys_values| {
+            let found = slopes(sizes, |d_scores, d_queries, d_keys_values| {
                 let (shares, output) = (&[], &[]);
                 let pass = Backward {
                     queries,
