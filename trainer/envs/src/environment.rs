@@ -270,6 +270,13 @@ pub trait Environment: Any + Send + Sync {
         0.0
     }
 
+    /// Writes `[A]` the [`potential`](Self::potential) of each agent alone, without a subtask.
+    fn potentials(&self, state: &[u8], scale: f32, potentials: &mut [f32]) {
+        for (agent, potential) in potentials.iter_mut().enumerate() {
+            *potential = self.potential(state, scale, 1 << agent, None);
+        }
+    }
+
     /// Writes for each of the `wanted` entities that exist how it stands to a subtask, a row of
     /// [`Spec::relations`] columns each; empty rows where there are none.
     fn relate(

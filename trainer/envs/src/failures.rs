@@ -226,6 +226,10 @@ impl Environment for Failing {
         self.inner.potential(self.own(state), scale, team, task)
     }
 
+    fn potentials(&self, state: &[u8], scale: f32, potentials: &mut [f32]) {
+        self.inner.potentials(self.own(state), scale, potentials);
+    }
+
     fn relate(
         &self,
         state: &[u8],

@@ -31,6 +31,15 @@ impl SparseRows {
         self.entries.push((column as u16, value));
     }
 
+    /// Adds one feature, where it is no zero. It is written in any case and then kept or not: whether a place or a speed is
+    /// exactly zero is as good as random, so that a processor would guess wrong.
+    #[inline]
+    pub(crate) fn push_unless_zero(&mut self, column: usize, value: f32) {
+        let before = self.entries.len();
+        self.push(column, value);
+        self.entries.truncate(before + usize::from(value != 0.0));
+    }
+
     /// Adds features, columns and values, to the row that the next [`end_row`](Self::end_row) closes.
     #[inline]
     pub fn push_all(&mut self, features: &[(u16, f32)]) {

@@ -92,12 +92,19 @@ impl Nearest {
 /// Puts each behind those that are nearer, and behind those equally near that stand before it. It counts them: which thing
 /// is nearer is as good as random, so that a processor would guess wrong at every other branch.
 fn sorted(things: &[(f64, usize); SEEN]) -> [(f64, usize); SEEN] {
+    // What is squared compares as its bits do.
+    let squared = things.map(|(squared, _)| squared.to_bits());
+    let mut before = [0; SEEN];
+    for number in 0..SEEN {
+        for other in number + 1..SEEN {
+            let is_nearer = usize::from(squared[other] < squared[number]);
+            before[number] += is_nearer;
+            before[other] += 1 - is_nearer;
+        }
+    }
     let mut sorted = *things;
-    for (number, (squared, thing)) in things.iter().enumerate() {
-        let (before, behind) = things.split_at(number);
-        let nearer = before.iter().map(|(other, _)| usize::from(other <= squared)).sum::<usize>()
-            + behind.iter().map(|(other, _)| usize::from(other < squared)).sum::<usize>();
-        sorted[nearer] = (*squared, *thing);
+    for (before, thing) in before.iter().zip(things) {
+        sorted[*before] = *thing;
     }
     sorted
 }

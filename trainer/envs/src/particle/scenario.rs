@@ -133,20 +133,23 @@ impl<'a> Row<'a> {
 
     #[inline]
     pub(super) fn pair(&mut self, pair: Point) {
-        for number in pair {
-            if number != 0.0 {
-                self.rows.push(self.column, number as f32);
-            }
-            self.column += 1;
+        let column = self.column as u16;
+        let [x, y] = pair.map(|number| number as f32);
+        // Hardly anything is ever exactly zero.
+        if x != 0.0 && y != 0.0 {
+            self.rows.push_all(&[(column, x), (column + 1, y)]);
+        } else {
+            self.rows.push_unless_zero(self.column, x);
+            self.rows.push_unless_zero(self.column + 1, y);
         }
+        self.skip(2);
     }
 
     /// So many flags, of which one is set or none.
     #[inline]
     pub(super) fn flags(&mut self, set: Option<u8>, count: usize) {
-        if let Some(flag) = set {
-            self.rows.push(self.column + usize::from(flag), 1.0);
-        }
+        let flag = self.column + usize::from(set.unwrap_or(0));
+        self.rows.push_unless_zero(flag, f32::from(u8::from(set.is_some())));
         self.skip(count);
     }
 

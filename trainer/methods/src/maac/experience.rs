@@ -45,9 +45,10 @@ impl Decision {
     /// Looks how near each agent is to what it is after, by which rewards are shaped on this scale.
     fn look(&mut self, environment: &dyn Environment, state: &[u8], scale: f32) {
         self.potentials.clear();
-        let near = |agent: usize| environment.potential(state, scale, 1 << agent, None);
-        let agents = 0..self.actions.len();
-        self.potentials.extend(agents.map(|agent| if scale == 0.0 { 0.0 } else { near(agent) }));
+        self.potentials.resize(self.actions.len(), 0.0);
+        if scale != 0.0 {
+            environment.potentials(state, scale, &mut self.potentials);
+        }
     }
 
     /// Adds how much nearer each agent came since it last looked.
