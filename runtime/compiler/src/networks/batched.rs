@@ -93,7 +93,8 @@ impl BatchedValues for BatchedTeamValues {
         let own = own.ok_or(missing)?;
         let places = own.iter().enumerate().flat_map(|(number, row)| [number as f32, *row as f32]);
         tensors.fill(3, &[teams, 2], places);
-        let is_own = own.iter().flat_map(|own| (0..rows).map(move |row| flag(row == *own)));
+        let is_own =
+            queries.iter().flat_map(|query| (0..rows).map(move |row| flag(query.is_own(row))));
         tensors.fill(4, &[teams, rows, 1], is_own);
         let is_member =
             queries.iter().flat_map(|query| (0..rows).map(move |row| flag(query.is_member(row))));

@@ -34,7 +34,7 @@ impl<E: Engine> TeamGraph<E> {
         rows: Rows,
     ) -> Result<E::Number, AllocateError> {
         let Self { engine, roles, tensors } = self;
-        let (state, own) = (query.state, query.own_row());
+        let state = query.state;
         let rows = rows_of(query, rows)?;
         let count = rows.len();
         let matrices = [
@@ -48,7 +48,7 @@ impl<E: Engine> TeamGraph<E> {
         let masks: [&dyn Fn(usize) -> bool; 5] = [
             &|row| state.present.contains(row),
             &|row| row < state.agents,
-            &|row| Some(row) == own,
+            &|row| query.is_own(row),
             &|row| query.is_open(row),
             &|row| query.is_member(row),
         ];

@@ -20,8 +20,16 @@ fn plan() -> AlignedBytes {
     AlignedBytes::copy_of(&compile(&golden("team_value_small"), &options).unwrap().bytes)
 }
 
+/// Every second one is about a subtask that the last thing belongs to as well.
 fn queries(count: usize) -> Vec<OwnedTeamQuery> {
-    random_team_queries(count, 9, 6, 3, 17)
+    let mut queries = random_team_queries(count, 9, 6, 3, 17);
+    for query in queries.iter_mut().step_by(2) {
+        let (agents, tasks) = (query.state.agents, &mut query.state.entity_task);
+        if let Some(last) = tasks.get_mut(agents..).and_then(<[u32]>::last_mut) {
+            *last |= 1 << query.task;
+        }
+    }
+    queries
 }
 
 /// What a plan answers; the memory is not clean.

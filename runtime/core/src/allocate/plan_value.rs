@@ -10,13 +10,13 @@ use crate::policy::{DecideError, Observation};
 /// Teams that are worked on together.
 const TOGETHER: usize = 32;
 
-/// Columns between features and relation: own flag and team flag.
+/// Columns between features and relation: flags of the subtask's rows and of the team's.
 const FLAGS: usize = 2;
 
 /// A plan as team-value network, over memory that the caller gives.
 ///
 /// The network is an agent's in shape: the subtask's row looks at all others. Its columns are d features,
-/// a flag of the own row, a flag of the team's agents, and F relations. Several teams are decided on like several
+/// a flag of the subtask's rows, a flag of the team's agents, and F relations. Several teams are decided on like several
 /// agents of one frame: its rows are every agent once as a stranger and once as a member, then all others, and
 /// a team sees of each agent the row that fits. So rows are embedded once, and matrices read once, for all teams;
 /// and as all of them ask the subtask's own query, scores and values of rows are computed once as well.
@@ -71,7 +71,7 @@ impl<'a> PlanTeamValue<'a> {
             .ok_or(DecideError::BadLength)?;
         let (to, to_flags) = to.split_at_mut_checked(flags_at).ok_or(DecideError::BadLength)?;
         copy(part(state.rows, row, stride, features)?, to);
-        copy(&[flag(scene.own == row), flag(member)], to_flags);
+        copy(&[flag(query.is_own(row)), flag(member)], to_flags);
         copy(part(query.relation, row, relations, relations)?, to_relations);
         Ok(())
     }

@@ -37,11 +37,25 @@ pub struct TeamQuery<'a> {
 }
 
 impl TeamQuery<'_> {
-    /// The subtask's own row, which forms the query; none where no row belongs to it.
+    /// The subtask's own row, which forms the query: the first that is present, or the first of all where none is; none
+    /// where no row belongs to it.
     pub fn own_row(&self) -> Option<usize> {
-        let tasks = self.state.entity_task.iter().enumerate().skip(self.state.agents);
-        let is_own = |tasks: u32| tasks.checked_shr(self.task as u32).unwrap_or(0) & 1 == 1;
-        tasks.filter(|(_, tasks)| is_own(**tasks)).map(|(row, _)| row).next()
+        let mut rows =
+            (self.state.agents..self.state.entity_task.len()).filter(|row| self.is_of_task(*row));
+        let first = rows.clone().next();
+        rows.find(|row| self.state.present.contains(*row)).or(first)
+    }
+
+    /// Whether a row is marked as the subtask's: the own row, and whatever else of it is present.
+    pub fn is_own(&self, row: usize) -> bool {
+        let is_shown = || self.state.present.contains(row) || self.own_row() == Some(row);
+        self.is_of_task(row) && is_shown()
+    }
+
+    /// Whether a row is a thing of the subtask, be it present or not.
+    fn is_of_task(&self, row: usize) -> bool {
+        let tasks = self.state.entity_task.get(row).copied().unwrap_or(0);
+        row >= self.state.agents && tasks.checked_shr(self.task as u32).unwrap_or(0) & 1 == 1
     }
 
     /// Whether a row stands for something of an open subtask.

@@ -119,7 +119,7 @@ pub struct TeamValueExport<'a> {
     pub relations: usize,
     /// Hash of the contract that it was trained for.
     pub contract: u64,
-    /// The layers: d features, own flag, team flag and F relations in, one value out.
+    /// The layers: d features, the subtask's flag, team flag and F relations in, one value out.
     pub layers: AttentionNetwork<'a>,
 }
 
@@ -153,7 +153,7 @@ fn declare_team_value(graph: &mut Graph, features: usize, relations: usize) {
     for (name, doc) in [
         ("present", "True where the entity exists."),
         ("is_agent", "True for agents."),
-        ("in_task", "True for the subtask's own row; it forms the query."),
+        ("in_task", "True for the subtask's rows; the first forms the query."),
         ("open", "True for rows of open subtasks, the one in question among them."),
         ("team", "True for the agents of the team."),
     ] {

@@ -298,6 +298,18 @@ fn a_query_tells_rows_apart() {
     let query = TeamQuery { state: &state, task: 1, team: 0b01, relation: &[] };
     assert_eq!(query.own_row(), Some(3));
     assert!(query.visible().iter().eq([0, 3, 4]));
+    // All that is there of an army is the subtask's, and the first of those asks.
+    let entity_task = [0b10, 0b10, 0b10, 0b01, 0b10, 0b10, 0b10];
+    let army = |present: &[usize]| {
+        let mut mask = EntityMask::EMPTY;
+        present.iter().for_each(|row| mask.insert(*row));
+        let state = AllocationState { present: mask, entity_task: &entity_task, ..state };
+        let query = TeamQuery { state: &state, ..query };
+        let own: Vec<usize> = (0..7).filter(|row| query.is_own(*row)).collect();
+        (query.own_row(), own)
+    };
+    assert_eq!(army(&[0, 3, 5, 6]), (Some(5), vec![5, 6]));
+    assert_eq!(army(&[0, 3]), (Some(2), vec![2]));
     let members: Vec<usize> = (0..5).filter(|row| query.is_member(*row)).collect();
     assert_eq!(members, [0]);
     let mut last = [9; 2];

@@ -23,7 +23,7 @@ impl TeamColumns {
         self.relation() + self.relations
     }
 
-    /// Marks the subtask's thing that the value is about.
+    /// Marks the subtask's things; the first of them asks.
     pub(in crate::alma::records) fn own(self) -> usize {
         self.features
     }
@@ -104,7 +104,7 @@ impl TeamValueInput {
             for agent in members(self.seen.acting().into()) {
                 self.push_agent(columns, agent, team >> agent & 1 == 1);
             }
-            self.push_others(columns, own);
+            self.push_others(columns, task, own);
             (first..self.others.len()).for_each(|row| self.input.visible.push(count + row));
             self.input.visible.end_list();
             before = Some(query);
@@ -135,7 +135,7 @@ impl TeamValueInput {
                 self.push_agent(columns, agent, true);
             }
             let others = count + self.others.len();
-            self.push_others(columns, own);
+            self.push_others(columns, task, own);
             let end = count + self.others.len();
             let visible = &mut self.input.visible;
             for team in teams.clone() {
@@ -185,13 +185,16 @@ impl TeamValueInput {
         self.end_row(columns, agent);
     }
 
-    /// The rows of the things of open subtasks but one.
-    fn push_others(&mut self, columns: TeamColumns, own: Option<(usize, usize)>) {
-        let things = members(self.seen.things());
+    /// The rows of the things of open subtasks but the one that asks.
+    fn push_others(&mut self, columns: TeamColumns, task: usize, own: Option<(usize, usize)>) {
+        let (things, of_task) = (members(self.seen.things()), self.seen.things_of(task));
         for (row, thing) in (self.seen.agents()..).zip(things) {
             let is_open = self.seen.entity_task[thing] & self.seen.open_tasks != 0;
             if is_open && own.is_none_or(|(own, _)| own != thing) {
                 self.others.push_row(&self.seen.rows, row);
+                if of_task >> thing & 1 == 1 {
+                    self.others.push(columns.own(), 1.0);
+                }
                 self.end_row(columns, row);
             }
         }

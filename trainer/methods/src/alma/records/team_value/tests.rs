@@ -157,6 +157,27 @@ fn a_row_says_what_an_entity_is_and_how_it_stands_to_the_subtask() {
     assert_eq!(owns, [own(4.0), own(11.0)], "the same state under a symmetry");
 }
 
+#[test]
+fn all_things_of_a_subtask_are_marked_and_the_first_asks() {
+    let state = Street::new(1, &[4, 9, 6]).bytes();
+    let mut armies = toy();
+    armies.joined = 0b100;
+    let mut input = TeamValueInput::default();
+    let query = TeamQuery { state: &state, task: 1, team: 0, turn: 0 };
+    let input = input.queries(&armies, [query].into_iter());
+    let marked = |row: usize| input.rows.row(row).any(|(column, _)| column == 3);
+    let doors = |row: usize| input.rows.row(row).find(|(column, _)| *column == 1);
+    assert_eq!((doors(0), marked(0)), (Some((1, 9.0)), true));
+    let others = [2, 3].map(|row| (doors(row), marked(row)));
+    assert_eq!(others, [(Some((1, 4.0)), false), (Some((1, 6.0)), true)]);
+
+    let mut all = TeamValueInput::default();
+    let all = all.all_teams(&armies, &state);
+    let marked = |row: &usize| all.rows.row(*row).any(|(column, _)| column == 3);
+    // Both teams of both subtasks ask; the last thing is marked beside the second subtask alone.
+    assert_eq!((0..all.rows.len()).filter(marked).count(), 2 * 2 + 1);
+}
+
 /// What a network says to questions, and its slope by the parameters where each answer counts so much.
 fn answers(network: &UtilityNetwork, input: &UtilityInput, slopes: &[f32]) -> (Vec<f32>, Vec<f32>) {
     let layers = UtilityLayers::of(network.shape(), &mut Places::default());

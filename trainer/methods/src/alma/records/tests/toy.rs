@@ -50,13 +50,17 @@ impl Street {
 }
 
 /// The environment of such states; nobody plays in it.
-pub(in crate::alma::records) struct Toy(Spec);
+pub(in crate::alma::records) struct Toy {
+    spec: Spec,
+    /// The sites that belong to the subtask of the one before them.
+    pub(in crate::alma::records) joined: u32,
+}
 
 pub(in crate::alma::records) fn toy() -> Toy {
     let rule = |name| Rule { name, about: "" };
     let shape =
         Shape { agents: AGENTS, entities: AGENTS + SITES, tasks: SITES, actions: 3, features: 3 };
-    Toy(Spec {
+    let spec = Spec {
         name: "street",
         shape,
         rewards: Rewards { tasks: true, agents: false },
@@ -67,12 +71,13 @@ pub(in crate::alma::records) fn toy() -> Toy {
         row_entries: 3,
         state_bytes: 1 + AGENTS + 2 * SITES,
         ..Spec::default()
-    })
+    };
+    Toy { spec, joined: 0 }
 }
 
 impl Environment for Toy {
     fn spec(&self) -> &Spec {
-        &self.0
+        &self.spec
     }
 
     fn instances(&self) -> usize {
@@ -100,7 +105,7 @@ impl Environment for Toy {
     /// Features: 1 for a site, the door, whether it is open.
     fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation) {
         let street = Street::read(state);
-        *seen = Observation::new(&self.0.shape);
+        *seen = Observation::new(&self.spec.shape);
         let (agents, sites) = (street.agents.len(), street.sites.len());
         seen.present = ((1 << sites) - 1) << AGENTS | ((1 << agents) - 1);
         seen.entities = wanted & seen.present;
@@ -117,8 +122,9 @@ impl Environment for Toy {
             }
         }
         for (site, (_, is_open)) in street.sites.iter().enumerate() {
-            seen.entity_task[AGENTS + site] = 1 << site;
-            seen.open_tasks |= u32::from(*is_open) << site;
+            let task = site - (self.joined >> site & 1) as usize;
+            seen.entity_task[AGENTS + site] = 1 << task;
+            seen.open_tasks |= u32::from(*is_open) << task;
         }
     }
 
