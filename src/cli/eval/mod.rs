@@ -143,7 +143,11 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let subject = Subject::find(&arguments.subject)?;
     let set = subject.scenario_set(arguments.env.as_deref())?;
     let is_allocated = match &subject {
-        Subject::Run(run) => run.method.subtasks().is_some(),
+        // Agents that see no subtasks may play where there are none.
+        Subject::Run(run) => {
+            let has_subtasks = set.has_subtasks()?;
+            run.method.subtasks().is_some_and(|subtasks| subtasks.are_seen || has_subtasks)
+        }
         Subject::Bundle(_) => subject.has_subtasks(),
         Subject::Scripted => set.has_subtasks()?,
     };

@@ -20,7 +20,7 @@ pub struct MethodEntry {
     pub about: &'static str,
     /// Its own keys; where it has several learners, those that the table's `learner` has.
     pub keys: fn(&Table) -> &'static [Section],
-    /// The setups that it comes with by their names, the default first; which environment is up to who asks.
+    /// The setups that it comes with by their names, the default first; which environment is mostly up to who asks.
     pub presets: &'static [Preset],
     /// What flags of the command line stand for.
     pub flags: &'static [Flag],

@@ -38,7 +38,7 @@ pub mod records;
 pub mod teams;
 pub mod windows;
 
-use sortie_envs::Spec;
+use sortie_envs::{Spec, View};
 use sortie_learn::configuration::{Section, check_table};
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
@@ -86,6 +86,9 @@ impl Config {
 
     /// Refuses rules of allocation that an environment does not have.
     fn check_rules(&self, spec: &Spec) -> Result<(), LearnError> {
+        if !self.subtask().has_subtasks() {
+            return Ok(());
+        }
         let rules: Vec<&str> = match self {
             Self::Records(config) => config.allocation.rules().collect(),
             Self::Windows(config) => config.rule().into_iter().collect(),
@@ -173,14 +176,17 @@ pub const FLAT: MethodEntry = MethodEntry {
     presets: &[
         Preset {
             name: "fast",
-            setup: || fast(|config| config.network.subtask = Conditioning::None),
+            setup: || beside_alma(fast(|config| config.network.subtask = Conditioning::None)),
         },
         Preset {
             name: "paper",
-            setup: || paper(|config| config.low_level.conditioning = Conditioning::None),
+            setup: || {
+                beside_alma(paper(|config| config.low_level.conditioning = Conditioning::None))
+            },
         },
     ],
     flags: &[MIXER],
+    misfit: shows_no_entities,
     ..ALMA
 };
 
@@ -189,10 +195,11 @@ pub const COPA: MethodEntry = MethodEntry {
     name: "copa",
     about: "Flat agents and a coach that sees everything and tells each of them a strategy now and then",
     presets: &[
-        Preset { name: "fast", setup: coached },
-        Preset { name: "paper", setup: || paper(windows::Config::enable_coach) },
+        Preset { name: "fast", setup: || beside_alma(coached()) },
+        Preset { name: "paper", setup: || beside_alma(paper(windows::Config::enable_coach)) },
     ],
     flags: &[],
+    misfit: shows_no_entities,
     ..ALMA
 };
 
@@ -216,11 +223,22 @@ fn coached() -> Setup {
     Setup::of(8, RunConfig::default(), &config)
 }
 
+/// Where ALMA learns, with which it is compared, unless another environment is named: it fits wherever there are entities.
+fn beside_alma(mut setup: Setup) -> Setup {
+    "save-the-city".clone_into(&mut setup.environment.name);
+    setup
+}
+
 fn misfit(spec: &Spec) -> Option<&'static str> {
     if spec.shape.tasks == 0 || !spec.rewards.tasks {
         return Some("it has no subtasks with rewards of their own");
     }
     spec.rules.is_empty().then_some("it has no rule of allocation that stands in at first")
+}
+
+fn shows_no_entities(spec: &Spec) -> Option<&'static str> {
+    let lack = "its agents look at entities, of which this environment shows none";
+    (spec.view != View::Entities).then_some(lack)
 }
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
@@ -277,5 +295,9 @@ mod tests {
         assert!(misfit(&spec).is_some_and(|lack| lack.contains("no rule")));
         spec.shape.tasks = 0;
         assert!(misfit(&spec).is_some_and(|lack| lack.contains("no subtasks")));
+        // Who sees none needs none.
+        assert_eq!((FLAT.misfit)(&spec), None);
+        spec.view = View::Vectors;
+        assert!((COPA.misfit)(&spec).is_some_and(|lack| lack.contains("shows none")));
     }
 }

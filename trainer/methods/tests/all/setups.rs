@@ -180,9 +180,13 @@ fn values_that_do_not_go_together_are_refused() {
 
 #[test]
 fn a_method_refuses_an_environment_that_it_cannot_learn_in() {
-    for entry in [ALMA, FLAT, COPA] {
-        let error = refusal(&entry, &entry.preset("fast").unwrap(), "group-matching/4x3x2");
-        let words = [entry.name, "`group-matching`", "no subtasks"];
+    for (entry, environment, lack) in [
+        (ALMA, "group-matching/4x3x2", "no subtasks"),
+        (FLAT, "gridworld/task1-2", "shows none"),
+        (COPA, "gridworld/task1-2", "shows none"),
+    ] {
+        let error = refusal(&entry, &entry.preset("fast").unwrap(), environment);
+        let words = [entry.name, environment.split('/').next().unwrap(), lack];
         assert!(words.iter().all(|word| error.contains(word)), "{error}");
     }
 }

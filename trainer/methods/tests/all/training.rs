@@ -177,6 +177,18 @@ fn a_run_without_subtasks_learns_no_allocator_and_says_so() {
 }
 
 #[test]
+fn agents_that_see_no_subtasks_learn_where_there_are_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let ring = ["environment.name=group-matching", "environment.set=4x3x2"];
+    let steps = ["run.steps=12000", "run.final_episodes=200", WITHOUT_SUBTASKS];
+    run(&mut begin(with(&[&ring[..], &steps].concat()), 5, 1, folder.path()).unwrap(), u64::MAX);
+    let curve = open_records(folder.path()).curve;
+    // Agents that have learned for 200 steps gather in time in half of the episodes.
+    let success = curve.last().unwrap().success;
+    assert!(success > 0.9, "{success}");
+}
+
+#[test]
 fn a_network_that_marks_subtasks_refuses_a_city_with_more_of_them() {
     let folder = tempfile::tempdir().unwrap();
     let config = with(&["network.subtask=input", "run.steps=400"]);
