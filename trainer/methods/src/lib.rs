@@ -25,7 +25,12 @@ pub mod learners {
 
 /// Allocators that propose, as graphs.
 pub mod proposals {
-    pub use crate::alma::windows::allocation::{AllocationShape, CriticWeights, PolicyWeights};
+    pub use sortie_nn::tape::Parameters;
+
+    pub use crate::alma::agents::transpose;
+    pub use crate::alma::windows::allocation::{
+        AllocationCritic, AllocationPolicy, AllocationShape,
+    };
     pub use crate::alma::windows::{ProposalGraphs, export_proposals};
 }
 

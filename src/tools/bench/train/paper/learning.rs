@@ -6,7 +6,7 @@ use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
-use sortie_methods::learners::windows::allocation::{AllocationLevel, AllocationState};
+use sortie_methods::learners::windows::allocation::AllocationLevel;
 use sortie_methods::learners::windows::low_level::{LowLevel, LowLevelConfig};
 use sortie_methods::learners::windows::{
     Config, Replay, SampleShape, Shaping, WindowLearner, WindowShape, Windows, cut_windows,
@@ -86,7 +86,7 @@ impl Levels {
         let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)
             .ok_or_else(|| Failure::new(Exit::Bug, "too few episodes for a batch"))?;
         let windows = cut_windows(&*environment, &replay, &drawn, sample, &mut generator);
-        let drawn_policy = allocation.state().policy;
+        let drawn_policy = allocation.policy.clone();
         for _ in 0..FIRST_STEPS {
             low_level.learn(&windows, 1, &mut generator);
             allocation.learn(&windows, 0, &mut generator, 1);
@@ -97,11 +97,8 @@ impl Levels {
         let mut low = LowLevel::new(still, sizes, &mut weights);
         (low.online, low.target) = (low_level.online, low_level.target);
         low.optimisers = low_level.optimisers;
-        let mut still = *allocation.learning();
-        still.learning_rate = 0.0;
-        let state = AllocationState { policy: drawn_policy, ..allocation.state() };
-        let allocation = AllocationLevel::restore(still, state)
-            .ok_or_else(|| Failure::new(Exit::Bug, "the allocator does not fit itself"))?;
+        allocation.learning.learning_rate = 0.0;
+        allocation.policy = drawn_policy;
         let learned = "learned".to_owned();
         let mut player = Player::new(&with_allocation(&config, &learned), seed)?;
         player.method.low_level = low.clone();

@@ -50,7 +50,7 @@ impl<'a> ProposalAllocator<'a> {
         let Self { seen, .. } = self;
         environment.observe(state, 0, EntitySet::MAX, seen);
         let (agents, tasks) = (last.len(), seen.tasks());
-        let known = self.networks.policy.shape().columns;
+        let known = self.networks.policy.shape.columns;
         if tasks > known {
             let reason = format!("the allocator knows {known} subtasks, this state has {tasks}");
             return Err(LearnError::Config(reason));

@@ -14,7 +14,7 @@ use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 
 use super::WindowShape;
-use super::allocation::{AllocationLevel, AllocationNetworks, AllocationState};
+use super::allocation::{AllocationLevel, AllocationNetworks};
 use super::config::Config;
 use super::deciding::ProposalAllocator;
 use super::export::{ProposalGraphs, export_proposals};
@@ -145,7 +145,7 @@ impl WindowLearner {
             let proposing = ProposalAllocator::new(networks, allocation.proposals).greedy_first();
             let write = move |contract| {
                 let AllocationNetworks { policy, critic } = networks;
-                let graphs = export_proposals(&policy.weights(), &critic.weights(), contract);
+                let graphs = export_proposals(policy, critic, contract);
                 graphs.map(|ProposalGraphs { trunk, step, critic }| [trunk, step, critic])
             };
             LearnedAllocator {
@@ -328,21 +328,15 @@ fn low_level_state(level: &mut LowLevel, state: &mut State<'_>) -> Result<(), Le
 
 /// The same of critic and policy.
 fn allocation_state(level: &mut AllocationLevel, state: &mut State<'_>) -> Result<(), LearnError> {
-    let mut own = level.state();
-    let AllocationState { critic, target, policy, critic_square, policy_square, .. } = &mut own;
-    state.vector("critic/online", critic)?;
-    state.vector("critic/target", target)?;
-    state.vector("critic/square", critic_square)?;
-    state.vector("policy/online", policy)?;
-    state.vector("policy/square", policy_square)?;
-    state.value("critic/online-statistics", &mut own.popart)?;
-    state.value("critic/target-statistics", &mut own.target_popart)?;
-    if state.is_reading() {
-        let restored = AllocationLevel::restore(*level.learning(), own);
-        let misfit = "the checkpoint's allocator does not fit train.toml";
-        *level = restored.ok_or_else(|| LearnError::Config(misfit.to_owned()))?;
-    }
-    Ok(())
+    let AllocationLevel { critic, target, policy, optimisers, .. } = level;
+    let [of_critic, of_policy] = optimisers;
+    state.vector("critic/online", &mut critic.parameters.values)?;
+    state.vector("critic/target", &mut target.parameters.values)?;
+    state.vector("critic/square", &mut of_critic.square)?;
+    state.vector("policy/online", &mut policy.parameters.values)?;
+    state.vector("policy/square", &mut of_policy.square)?;
+    state.value("critic/online-statistics", &mut critic.popart)?;
+    state.value("critic/target-statistics", &mut target.popart)
 }
 
 #[cfg(test)]

@@ -9,10 +9,10 @@ use super::reference;
 use crate::files::{Case, assert_close, json_cases};
 
 /// The columns of all matrices `[out, in]`, one matrix behind the other: rows `[in, out]` of one layer.
-fn columns(case: &Case, names: &[&str]) -> Vec<f32> {
+pub(super) fn columns<N: AsRef<str>>(case: &Case, names: &[N]) -> Vec<f32> {
     let mut rows = Vec::new();
     for name in names {
-        let tensor = case.get(name);
+        let tensor = case.get(name.as_ref());
         let (outputs, inputs) = (tensor.shape[0], tensor.shape[1]);
         for column in 0..inputs {
             rows.extend((0..outputs).map(|row| tensor.data[row * inputs + column] as f32));

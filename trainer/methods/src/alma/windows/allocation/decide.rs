@@ -103,8 +103,8 @@ impl Decider {
             let policy = networks.policy;
             let proposals = Proposals::draw(policy_tape, policy, own, &columns.policy, sampling);
             push_distinct(input, networks.critic, states, &proposals, &columns.critic);
-            let mut t = critic_tape.begin(networks.critic.parameters());
-            let values = networks.critic.layers().values(&mut t, input);
+            let mut t = critic_tape.begin(&networks.critic.parameters.values);
+            let values = networks.critic.layers.values(&mut t, input);
             let best = best_of(&proposals, networks.critic, t.values(values));
             for (local, best) in best.into_iter().enumerate() {
                 proposals.write(best, &mut decided.best);
@@ -154,11 +154,11 @@ impl Decider {
                 input.begin_state(states);
                 let own = &allocations[state * per_state..][..per_state];
                 for allocation in own.chunks_exact(states.agents) {
-                    input.push(critic.shape(), states, state, allocation, &columns.critic);
+                    input.push(critic.shape, states, state, allocation, &columns.critic);
                 }
             }
-            let mut t = critic_tape.begin(critic.parameters());
-            let own = critic.layers().values(&mut t, input);
+            let mut t = critic_tape.begin(&critic.parameters.values);
+            let own = critic.layers.values(&mut t, input);
             values.extend_from_slice(t.values(own));
         }
         values
@@ -186,7 +186,7 @@ pub(super) fn push_distinct(
         for whole in proposals.distinct(local) {
             allocation.clear();
             proposals.write(whole, &mut allocation);
-            input.push(critic.shape(), states, state, &allocation, columns);
+            input.push(critic.shape, states, state, &allocation, columns);
         }
     }
 }

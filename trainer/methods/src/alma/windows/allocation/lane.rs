@@ -91,7 +91,7 @@ impl Lane {
         let AllocationNetworks { policy, critic } = networks;
         self.best.clear();
         self.values.clear();
-        zero(&mut self.policy_gradient, policy.parameters().len());
+        zero(&mut self.policy_gradient, policy.parameters.values.len());
         (self.surprise, self.entropy, self.operations) = (0.0, 0.0, 0);
         let entropy_weight = (learning.entropy / loss.proposals) as f32;
         let mut watch = Stopwatch::start();
@@ -104,8 +104,8 @@ impl Lane {
                 Proposals::draw(policy_tape, policy, own, &columns.policy, sampling);
             self.times.proposals += watch.lap();
             push_distinct(input, critic, states, &proposals, &columns.critic);
-            let mut t = critic_tape.begin(critic.parameters());
-            let values = critic.layers().values(&mut t, input);
+            let mut t = critic_tape.begin(&critic.parameters.values);
+            let values = critic.layers.values(&mut t, input);
             let found = best_of(&proposals, critic, t.values(values));
             self.operations += t.operations(false);
 
@@ -126,10 +126,10 @@ impl Lane {
             let allocations = self.best[first..].chunks_exact(states.agents);
             for (row, allocation) in block.zip(allocations) {
                 input.begin_state(states);
-                input.push(target.shape(), states, row, allocation, &draws.target);
+                input.push(target.shape, states, row, allocation, &draws.target);
             }
-            let mut t = critic_tape.begin(target.parameters());
-            let values = target.layers().values(&mut t, input);
+            let mut t = critic_tape.begin(&target.parameters.values);
+            let values = target.layers.values(&mut t, input);
             self.values.extend(t.values(values).iter().map(|raw| target.real(*raw)));
             self.operations += t.operations(false);
             self.times.critic += watch.lap();
@@ -146,8 +146,8 @@ impl Lane {
         (targets, columns): (&[f64], &[u8]),
     ) {
         let mut watch = Stopwatch::start();
-        let (states, layers) = (&rows.states, critic.layers());
-        zero(&mut self.critic_gradient, critic.parameters().len());
+        let (states, layers) = (&rows.states, critic.layers);
+        zero(&mut self.critic_gradient, critic.parameters.values.len());
         self.squared_error = 0.0;
         for block in blocks(range) {
             // What does not count has no gradient either.
@@ -160,9 +160,9 @@ impl Lane {
             for row in &counting {
                 self.input.begin_state(states);
                 let allocation = states.allocation(*row);
-                self.input.push(critic.shape(), states, *row, allocation, columns);
+                self.input.push(critic.shape, states, *row, allocation, columns);
             }
-            let mut t = self.critic_tape.begin(critic.parameters());
+            let mut t = self.critic_tape.begin(&critic.parameters.values);
             let raw = layers.values(&mut t, &self.input);
             let mut slopes = Vec::with_capacity(counting.len());
             for (row, raw) in counting.iter().zip(t.values(raw)) {

@@ -160,10 +160,10 @@ impl<'a> Proposals<'a> {
         columns: &[u8],
         (proposals, noise): (usize, Noise<'_>),
     ) -> Self {
-        let layers = policy.layers();
-        let block = Block::of(policy.shape(), states, range.clone(), columns);
+        let layers = policy.layers;
+        let block = Block::of(policy.shape, states, range.clone(), columns);
         let tree = Tree::begin(&block, proposals);
-        let t = tape.begin(policy.parameters());
+        let t = tape.begin(&policy.parameters.values);
         let mut own = Self { t, block, tree, chances: Vec::new(), proposals };
         let mut vectors = layers.begin(&mut own.t, &own.block);
         let mut generators: Vec<Generator> = match noise {

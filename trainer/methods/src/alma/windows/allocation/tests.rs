@@ -1,13 +1,11 @@
 //! Laws of the allocation networks: probabilities, gradients, and that they learn.
 
-use std::ops::Range;
-
 use rand_core::Rng;
 use sortie_envs::random::{below, chance};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::layers::SparseRows;
 use sortie_nn::random::Generator;
-use sortie_nn::tape::Tape;
+use sortie_nn::tape::{Parameters, Tape, Tensor};
 
 use super::critic::CriticInput;
 use super::networks::{AllocationCritic, AllocationPolicy};
@@ -112,9 +110,10 @@ fn the_best_proposal_has_the_highest_value_behind_the_head() {
     let policy = AllocationPolicy::initialise(SHAPE, &mut generator(1, Purpose::Weights, 0));
     let start = AllocationCritic::initialise(SHAPE, &mut generator(2, Purpose::Weights, 0));
     let critic = |head: f32| {
-        let mut weights = start.weights();
-        (weights.popart_weight, weights.popart_bias, weights.deviation) = (head, 0.3, 2.0);
-        AllocationCritic::from_weights(&weights).unwrap()
+        let mut critic = start.clone();
+        let (weight, bias) = critic.head_mut();
+        (weight[0], bias[0], critic.popart.variance) = (head, 0.3, 4.0);
+        critic
     };
     let mut chosen = Vec::new();
     for head in [1.5, -1.5, 0.0] {
@@ -185,27 +184,14 @@ fn states_do_not_see_each_other() {
     }
 }
 
-/// The places of tensors that stand behind each other.
-fn places<const COUNT: usize>(
-    names: [&'static str; COUNT],
-    tensors: [(usize, usize); COUNT],
-) -> Vec<(&'static str, Range<usize>)> {
-    let mut end = 0;
-    let place = |(name, (length, _))| {
-        end += length;
-        (name, end - length..end)
-    };
-    names.into_iter().zip(tensors).map(place).collect()
-}
-
 /// Checks the gradient of every tensor on its own.
 fn assert_gradients(
-    tensors: &[(&'static str, Range<usize>)],
+    tensors: &[Tensor],
     parameters: &[f32],
     gradient: &[f32],
     loss: impl Fn(&[f32]) -> f64,
 ) {
-    for (name, range) in tensors {
+    for Tensor { name, range, .. } in tensors {
         assert_gradient(name, &parameters[range.clone()], &gradient[range.clone()], |part| {
             let mut moved = parameters.to_vec();
             moved[range.clone()].copy_from_slice(part);
@@ -219,7 +205,7 @@ fn the_policy_s_gradient_agrees_with_finite_differences() {
     let states = some_states();
     let mut policy = AllocationPolicy::initialise(SHAPE, &mut generator(2, Purpose::Weights, 0));
     // Larger weights than usual: slopes well above the rounding of the loss.
-    policy.parameters_mut().iter_mut().for_each(|weight| *weight *= 2.0);
+    policy.parameters.values.iter_mut().for_each(|weight| *weight *= 2.0);
     const PROPOSALS: usize = 6;
     let mut decider = Decider::default();
     let noise = Noise::Seeded { seed: 1, greedy_first: false };
@@ -228,8 +214,8 @@ fn the_policy_s_gradient_agrees_with_finite_differences() {
     let weights = random(4, STATES);
     const ENTROPY: f32 = 0.3;
     let loss = |parameters: &[f32]| {
-        let policy =
-            AllocationPolicy::from_parameters(SHAPE, parameters.to_vec()).expect("as many");
+        let mut policy = policy.clone();
+        policy.parameters.values.copy_from_slice(parameters);
         let got = Decider::default().propose(&policy, &states, &columns(), fixed);
         let surprise = got.log_probabilities.chunks(PROPOSALS).zip(&weights);
         let surprise = surprise.map(|(logs, weight)| -f64::from(weight * logs[1])).sum::<f64>();
@@ -239,27 +225,14 @@ fn the_policy_s_gradient_agrees_with_finite_differences() {
     let (mut tape, block) = (Tape::default(), (&states, 0..STATES));
     let mut pass = Proposals::draw(&mut tape, &policy, block, &columns().policy, fixed);
     let best: Vec<(u32, f32)> = (0..STATES).map(|s| (pass.of_proposal(s, 1), weights[s])).collect();
-    let mut gradient = vec![0.0; policy.parameters().len()];
+    let mut gradient = vec![0.0; policy.parameters.values.len()];
     pass.descend(&best, ENTROPY, &mut gradient);
 
-    let names = [
-        "features",
-        "task columns",
-        "embedding bias",
-        "queries, keys and values",
-        "out",
-        "out bias",
-        "counts",
-        "count bias",
-        "update of the task",
-        "update of the agent",
-        "update bias",
-    ];
-    let mut tensors = places(names, AllocationPolicy::tensors(SHAPE));
+    let mut tensors = policy.parameters.tensors().to_vec();
     // What is the same for all choices of an agent changes none: the bias of the counts has no slope of its own.
-    let (_, bias) = tensors.remove(7);
-    tensors[6].1.end = bias.end;
-    assert_gradients(&tensors, policy.parameters(), &gradient, loss);
+    let bias = tensors.iter().position(|tensor| tensor.name == "count.bias").unwrap();
+    tensors[bias - 1].range.end = tensors.remove(bias).range.end;
+    assert_gradients(&tensors, &policy.parameters.values, &gradient, loss);
 }
 
 #[test]
@@ -279,35 +252,21 @@ fn the_critic_s_gradient_agrees_with_finite_differences() {
     let loss = |parameters: &[f32]| {
         let mut tape = Tape::default();
         let mut t = tape.begin(parameters);
-        let values = critic.layers().values(&mut t, &input);
-        let values = critic.layers().head(&mut t, values);
+        let values = critic.layers.values(&mut t, &input);
+        let values = critic.layers.head(&mut t, values);
         let terms = t.values(values).iter().zip(&slopes);
         terms.map(|(value, d)| f64::from(*value) * f64::from(*d)).sum()
     };
     let mut tape = Tape::default();
-    let mut t = tape.begin(critic.parameters());
-    let values = critic.layers().values(&mut t, &input);
-    let values = critic.layers().head(&mut t, values);
+    let mut t = tape.begin(&critic.parameters.values);
+    let values = critic.layers.values(&mut t, &input);
+    let values = critic.layers.head(&mut t, values);
     let sum = t.weighted_sum(values, &slopes);
-    let mut gradient = vec![0.0; critic.parameters().len()];
+    let mut gradient = vec![0.0; critic.parameters.values.len()];
     t.backward(sum, &mut gradient);
 
-    let names = [
-        "features",
-        "task columns",
-        "counts",
-        "count bias",
-        "embedding bias",
-        "queries, keys and values",
-        "out",
-        "out bias",
-        "value",
-        "value bias",
-        "head",
-        "head bias",
-    ];
-    let tensors = places(names, AllocationCritic::tensors(SHAPE));
-    assert_gradients(&tensors, critic.parameters(), &gradient, loss);
+    let Parameters { values, .. } = &critic.parameters;
+    assert_gradients(critic.parameters.tensors(), values, &gradient, loss);
 }
 
 /// Windows of episodes of one decision, allocated at random: an agent is worth 1 at the subtask of its kind.
