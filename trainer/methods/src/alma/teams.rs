@@ -5,7 +5,7 @@ use sortie_core::Policy;
 use sortie_envs::Observation;
 use sortie_learn::subtasks::{self, AllocatedScene, MaskedViews};
 use sortie_learn::{LearnError, Thought};
-use sortie_nn::tape::{Places, Tape};
+use sortie_nn::tape::{Gru, Places, Tape};
 
 use crate::alma::agents::{
     Columns, Conditioning, NO_ACTION, NetworkPolicy, TeamBatch, UtilityLayers, UtilityShape,
@@ -49,8 +49,8 @@ impl subtasks::Agents for NetworkAgents<'_> {
 
     /// Of agents that decide by what the subtask mask shows and nothing else, whom they attend to can be told.
     fn thoughts(&mut self, scenes: &[AllocatedScene<'_>]) -> Vec<Thought> {
-        let Agents { network, memory_unit, .. } = self.agents;
-        if self.conditioning != Conditioning::Mask || !memory_unit.is_empty() {
+        let Agents { network, unit, .. } = self.agents;
+        if self.conditioning != Conditioning::Mask || unit.is_some() {
             return Vec::new();
         }
         let (mut policy, mut views) = (NetworkPolicy::new(network), MaskedViews::default());
@@ -78,16 +78,16 @@ impl subtasks::Agents for NetworkAgents<'_> {
 pub struct Agents<'a> {
     /// Their utility network.
     pub network: UtilityView<'a>,
-    /// The recurrent unit of their memory; empty where they have none.
-    pub memory_unit: &'a [f32],
+    /// The recurrent unit of their memory among the same parameters, if they have one.
+    pub unit: Option<Gru>,
     /// What tells them their strategies at decision points, if anything does (COPA).
-    pub coach: Option<&'a Coach>,
+    pub coach: Option<Coach<'a>>,
 }
 
 impl<'a> Agents<'a> {
     /// Agents without memory and coach.
     pub fn new(network: UtilityView<'a>) -> Self {
-        Self { network, memory_unit: &[], coach: None }
+        Self { network, unit: None, coach: None }
     }
 }
 
@@ -98,8 +98,6 @@ pub struct Players {
     tape: Tape,
     /// (scene, agent) of every row of the batch.
     actors: Vec<(usize, usize)>,
-    /// Of network and memory unit, where there is one.
-    parameters: Vec<f32>,
     /// `[worlds, A, R]`: what every agent remembers.
     memory: Vec<f32>,
     /// `[rows, R]`: the same of those who act.
@@ -114,7 +112,6 @@ impl Players {
             batch: TeamBatch::new(conditioning),
             tape: Tape::default(),
             actors: Vec::new(),
-            parameters: Vec::new(),
             memory: Vec::new(),
             remembered: Vec::new(),
             operations: 0,
@@ -140,19 +137,12 @@ impl Players {
         mut each: impl FnMut(usize, usize, &[f32]),
     ) -> Result<(), LearnError> {
         self.look(agents.network.shape, scenes)?;
-        let Agents { network, memory_unit, coach } = agents;
+        let Agents { network, unit, coach } = agents;
         let shape = network.shape;
-        self.recall(scenes, slots, shape.base, memory_unit.is_empty());
-        let Self { batch, tape, actors, parameters, remembered, operations, .. } = self;
-        let mut t = tape.begin(if memory_unit.is_empty() {
-            network.parameters
-        } else {
-            parameters.clear();
-            parameters.extend(network.parameters.iter().chain(memory_unit));
-            &parameters[..]
-        });
-        let places = &mut Places::default();
-        let layers = UtilityLayers::of(shape, places);
+        self.recall(scenes, slots, shape.base, unit.is_none());
+        let Self { batch, tape, actors, remembered, operations, .. } = self;
+        let mut t = tape.begin(network.parameters);
+        let layers = UtilityLayers::of(shape, &mut Places::default());
         let mut base = layers.base(&mut t, batch.input());
         if coach.is_some() {
             let mut told = vec![0.0; actors.len() * shape.base];
@@ -164,8 +154,8 @@ impl Players {
             let told = t.input(shape.base, &told);
             base = t.add(base, told);
         }
-        if !memory_unit.is_empty() {
-            base = t.gru(base, places.gru(shape.base), &vec![true; actors.len()], remembered);
+        if let Some(unit) = unit {
+            base = t.gru(base, unit, &vec![true; actors.len()], remembered);
         }
         let utilities = layers.head(&mut t, base);
         *operations += t.operations(false);

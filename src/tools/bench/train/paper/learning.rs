@@ -7,7 +7,7 @@ use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
 use sortie_methods::learners::windows::allocation::AllocationLevel;
-use sortie_methods::learners::windows::low_level::{LowLevel, LowLevelConfig};
+use sortie_methods::learners::windows::low_level::LowLevel;
 use sortie_methods::learners::windows::{
     Config, Replay, SampleShape, Shaping, WindowLearner, WindowShape, Windows, cut_windows,
     draw_episodes,
@@ -93,17 +93,14 @@ impl Levels {
         }
         // From here on steps have no length, and the policy is as it was drawn: policies that learn
         // from one batch again and again propose the same, which saves work.
-        let still = LowLevelConfig { learning_rate: 0.0, ..config.low_level.clone() };
-        let mut low = LowLevel::new(still, sizes, &mut weights);
-        (low.online, low.target) = (low_level.online, low_level.target);
-        low.optimisers = low_level.optimisers;
+        low_level.config.learning_rate = 0.0;
         allocation.learning.learning_rate = 0.0;
         allocation.policy = drawn_policy;
         let learned = "learned".to_owned();
         let mut player = Player::new(&with_allocation(&config, &learned), seed)?;
-        player.method.low_level = low.clone();
+        player.method.low_level = low_level.clone();
         player.method.allocation = Some(allocation.clone());
-        Ok(Self { config, low_level: low, allocation, windows, generator, player })
+        Ok(Self { config, low_level, allocation, windows, generator, player })
     }
 
     /// Episodes of a round, which is also the number of steps that follow it.

@@ -6,9 +6,9 @@ use std::path::Path;
 use serde::Deserialize;
 use sortie_cli::failure::{Exit, Failure};
 use sortie_envs::random::unit;
-use sortie_methods::learners::agents::{UtilityNetwork, transpose};
+use sortie_methods::learners::agents::{UtilityView, transpose};
 use sortie_methods::learners::windows::allocation::{AllocationLevel, Noise, Rows, StepDraws};
-use sortie_methods::learners::windows::low_level::{HYPERNETWORKS, LowLevelNetworks, Mixer};
+use sortie_methods::learners::windows::low_level::LowLevel;
 use sortie_methods::learners::windows::{PopArt, WindowShape, Windows};
 use sortie_nn::tape::Parameters;
 
@@ -164,16 +164,14 @@ pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found,
         let columns: Vec<i64> = columns.iter().map(|column| i64::from(*column)).collect();
         tensors.integers(format!("columns.{name}"), &[tasks], &columns);
     }
-    tensors.low_level("online", &levels.low_level.online);
-    tensors.low_level("target", &levels.low_level.target);
-    let misfit = || Failure::new(Exit::Bug, "parameters do not fit their network");
+    tensors.low_level("online", &low_level, &levels.low_level.online.values);
+    tensors.low_level("target", &low_level, &levels.low_level.target);
+    tensors.low_level("gradient.online", &low_level, low_level.gradient());
     let AllocationLevel { critic, policy, target, .. } = &levels.allocation;
     tensors.allocation("critic", &critic.parameters, &critic.parameters.values);
     tensors.allocation("target_critic", &target.parameters, &target.parameters.values);
     tensors.allocation("policy", &policy.parameters, &policy.parameters.values);
 
-    let gradient = low_level_gradient(&levels.low_level.online, low_level.gradient());
-    tensors.low_level("gradient.online", &gradient.ok_or_else(misfit)?);
     let last = allocation.last_step();
     let of_critic = unclipped(&last.critic_gradient, allocated.critic_norm);
     let of_policy = unclipped(&last.policy_gradient, allocated.policy_norm);
@@ -184,21 +182,10 @@ pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found,
     Ok(found)
 }
 
-/// A gradient in the shape of its networks, or `None` where lengths differ.
-fn low_level_gradient(of: &LowLevelNetworks, gradient: &[f32]) -> Option<LowLevelNetworks> {
-    let (agents, mixer) = gradient.split_at_checked(of.agents.parameters().len())?;
-    Some(LowLevelNetworks {
-        agents: UtilityNetwork::from_parameters(of.agents.shape(), agents.to_vec())?,
-        gru: Vec::new(),
-        mixer: Mixer::from_parameters(of.mixer.shape(), mixer.to_vec())?,
-        popart: PopArt::default(),
-    })
-}
-
 /// The numbers of both steps, as the file's metadata.
 fn settings(levels: &Levels, [critic, target_critic]: [PopArt; 2]) -> HashMap<String, String> {
     let Levels { config, low_level, allocation, windows, .. } = levels;
-    let (online, target) = (low_level.online.popart, low_level.target.popart);
+    let (online, target) = (low_level.popart, low_level.target_popart);
     let settings = [
         ("steps", windows.shape.steps as f64),
         ("heads", config.low_level.heads as f64),
@@ -268,44 +255,20 @@ impl Tensors {
         self.floats("rows.weight".into(), &[count], &rows.weight);
     }
 
-    fn low_level(&mut self, of: &str, networks: &LowLevelNetworks) {
-        self.network(&format!("{of}.agents"), networks.agents.view());
-        self.mixer(of, &networks.mixer);
-    }
-
-    fn mixer(&mut self, of: &str, mixer: &Mixer) {
-        let shape = mixer.shape().hypernetwork;
-        let (input, width, mixing) = (shape.input, shape.width, shape.mixing);
-        let own = mixer.parameters().chunks_exact(shape.parameters());
-        for ((name, _), parameters) in HYPERNETWORKS.iter().zip(own) {
-            let (fc1, rest) = parameters.split_at(input * width);
-            let columns = 0..width;
-            let fc1: Vec<f32> =
-                columns.flat_map(|j| fc1.iter().skip(j).step_by(width)).copied().collect();
-            let square = width * width;
-            let mut rest = rest;
-            let mut take = |length: usize| {
-                let (own, behind) = rest.split_at(length);
-                rest = behind;
-                own.to_vec()
-            };
-            // Queries, keys and values stand one behind the other.
-            let layers: [(&str, &[usize], Vec<f32>); 7] = [
-                ("fc1.weight", &[width, input], fc1),
-                ("fc1.bias", &[width], take(width)),
-                ("attention.in.weight", &[3 * width, width], take(3 * square)),
-                ("attention.out.weight", &[width, width], take(square)),
-                ("attention.out.bias", &[width], take(width)),
-                ("fc2.weight", &[mixing, width], take(mixing * width)),
-                ("fc2.bias", &[mixing], take(mixing)),
-            ];
-            for (layer, shape, values) in layers {
-                self.floats(format!("{of}.{name}.{layer}"), shape, &values);
+    /// The tensors of agents and mixer in the layouts of PyTorch, of these numbers.
+    fn low_level(&mut self, of: &str, level: &LowLevel, values: &[f32]) {
+        let agents = UtilityView { shape: level.shape(), parameters: values };
+        self.network(&format!("{of}.agents"), agents);
+        for tensor in level.online.tensors() {
+            let Some(name) = tensor.name.strip_prefix("mixer.") else { continue };
+            let (name, own) = (format!("{of}.{name}"), &values[tensor.range.clone()]);
+            match tensor.shape[..] {
+                [rows, columns] if name.ends_with("fc1.weight") => {
+                    self.floats(name, &[columns, rows], &transpose(own, rows, columns));
+                }
+                _ => self.floats(name, &tensor.shape, own),
             }
         }
-        let (weights, biases) = mixer.head();
-        self.floats(format!("{of}.head.weight"), &[weights.len()], weights);
-        self.floats(format!("{of}.head.bias"), &[biases.len()], biases);
     }
 
     /// The tensors of critic or policy in the layouts of PyTorch, of these numbers.

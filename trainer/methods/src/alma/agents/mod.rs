@@ -5,7 +5,7 @@ mod policy;
 mod team_batch;
 mod utility;
 
-pub(crate) use layers::{TrunkLayers, drawn};
+pub(crate) use layers::{TrunkLayers, stacked};
 pub use layers::{UtilityInput, UtilityLayers};
 pub use policy::NetworkPolicy;
 pub use sortie_learn::subtasks::NO_ACTION;

@@ -10,26 +10,33 @@ mod networks;
 use sortie_envs::{Observation, members};
 use sortie_learn::LearnError;
 use sortie_nn::random::{Generator, normals};
-use sortie_nn::tape::{Places, Tape};
+use sortie_nn::tape::Tape;
 
 use super::agents::{TaskOrder, UtilityInput};
 
 pub use gaussian::Gaussian;
-pub use networks::{
-    Coach, CoachLayers, CoachShape, Recognition, RecognitionLayers, RecognitionShape,
-};
+pub use networks::{CoachLayers, CoachShape, RecognitionLayers};
+
+/// A coach: its layers, and the parameters among which its own are.
+#[derive(Clone, Copy, Debug)]
+pub struct Coach<'a> {
+    /// The layers.
+    pub layers: CoachLayers,
+    /// All parameters.
+    pub parameters: &'a [f32],
+}
 
 /// Tells the agents of a state their strategies.
 #[derive(Debug)]
 pub struct Advice<'a> {
-    coach: &'a Coach,
+    coach: Coach<'a>,
     tape: Tape,
     input: UtilityInput,
 }
 
 impl<'a> Advice<'a> {
     /// By a coach.
-    pub fn new(coach: &'a Coach) -> Self {
+    pub fn new(coach: Coach<'a>) -> Self {
         Self { coach, tape: Tape::default(), input: UtilityInput::default() }
     }
 
@@ -44,15 +51,15 @@ impl<'a> Advice<'a> {
         strategies: &mut Vec<f32>,
     ) -> Result<(), LearnError> {
         let Self { coach, tape, input } = self;
-        let (shape, tasks) = (coach.shape(), seen.tasks());
+        let (shape, tasks) = (coach.layers.shape, seen.tasks());
         if tasks > shape.marks {
             let known = shape.marks;
             let reason = format!("the coach knows {known} subtasks, this state has {tasks}");
             return Err(LearnError::Config(reason));
         }
         seen_input(shape, seen, &TaskOrder::identity(tasks), input);
-        let mut t = tape.begin(coach.parameters());
-        let told = CoachLayers::of(shape, &mut Places::default()).strategies(&mut t, input);
+        let mut t = tape.begin(coach.parameters);
+        let told = coach.layers.strategies(&mut t, input);
         strategies.clear();
         strategies.extend_from_slice(t.values(told.means));
         Ok(())
@@ -67,11 +74,11 @@ impl<'a> Advice<'a> {
         strategies: &mut Vec<f32>,
     ) {
         let Self { coach, tape, input } = self;
-        let shape = coach.shape();
+        let shape = coach.layers.shape;
         let order = TaskOrder::shuffled(shape.marks, generator);
         seen_input(shape, seen, &order, input);
-        let mut t = tape.begin(coach.parameters());
-        let told = CoachLayers::of(shape, &mut Places::default()).strategies(&mut t, input);
+        let mut t = tape.begin(coach.parameters);
+        let told = coach.layers.strategies(&mut t, input);
         let drawn = told.draw(&mut t, &normals(generator, seen.agents() * shape.strategy));
         strategies.clear();
         strategies.extend_from_slice(t.values(drawn));

@@ -9,6 +9,7 @@ use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::AllocationShape;
 use super::critic::CriticInput;
+use crate::alma::agents::stacked;
 use crate::alma::windows::popart::PopArt;
 
 /// Adds a tensor `[rows, columns]`, drawn uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
@@ -20,17 +21,6 @@ fn drawn(
     random: &mut Generator,
 ) -> usize {
     p.tensor(name, &sizes, 1.0 / (inputs as f32).sqrt(), random)
-}
-
-/// Two parts of a projection that stand behind each other: queries, then keys and values.
-fn attention_in(p: &mut Parameters, width: usize, random: &mut Generator) -> [Linear; 2] {
-    let Linear { weight, .. } = p.projection("attention.in", width, 3 * width, random);
-    let part = |output: usize, weight: usize| Linear {
-        shape: LinearShape { input: width, output },
-        weight,
-        bias: None,
-    };
-    [part(width, weight), part(2 * width, weight + width * width)]
 }
 
 /// The layers of a critic.
@@ -57,7 +47,7 @@ impl CriticLayers {
         drawn(p, "count.bias", [1, width], 2, random);
         let bias = Some(drawn(p, "entity.bias", [1, width], features, random));
         let rows = LinearShape { input: features + columns + 3, output: width };
-        let [queries, keys_values] = attention_in(p, width, random);
+        let [queries, keys_values] = stacked(p, "attention.in", (width, [1, 2]), random);
         let (out, value) =
             (p.linear("attention.out", width, width, random), p.linear("value", width, 1, random));
         // At first it changes nothing.
@@ -119,7 +109,7 @@ impl PolicyLayers {
         drawn(p, "task.weight", [columns, width], columns, random);
         let bias = Some(drawn(p, "entity.bias", [1, width], features, random));
         let rows = LinearShape { input: features + columns, output: width };
-        let [queries, keys_values] = attention_in(p, width, random);
+        let [queries, keys_values] = stacked(p, "attention.in", (width, [1, 2]), random);
         let out = p.linear("attention.out", width, width, random);
         let count = drawn(p, "count.weight", [2, width], 2, random);
         drawn(p, "count.bias", [1, width], 2, random);

@@ -10,13 +10,13 @@
 
 use std::time::Duration;
 
-use sortie_nn::tape::{Pass, Places, Tape};
+use sortie_nn::tape::{Pass, Tape};
 
 use super::agents::AgentLayers;
-use super::coaching::{Coaching, CoachingLayers};
-use super::mixer::{MixerInput, MixerLayers, MixerShape};
+use super::coaching::CoachingLayers;
+use super::mixer::{Mixer, MixerInput};
 use super::teams::{Look, Teams, View, is_available, tasks_with_agents};
-use crate::alma::agents::{TaskOrder, UtilityShape};
+use crate::alma::agents::TaskOrder;
 use crate::alma::records::config::ReturnsConfig;
 use crate::alma::windows::Windows;
 use crate::alma::windows::config::LowLevelConfig;
@@ -37,29 +37,11 @@ pub struct Term {
 /// mixer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layers {
-    agents: AgentLayers,
-    pub(super) mixer: MixerLayers,
-    coaching: Option<CoachingLayers>,
+    pub(super) agents: AgentLayers,
+    pub(super) mixer: Mixer,
+    pub(super) coaching: Option<CoachingLayers>,
     /// Where the merged layers begin.
     pub(super) merged: usize,
-    outputs: usize,
-}
-
-impl Layers {
-    pub(super) fn new(
-        (agents, mixer): (UtilityShape, MixerShape),
-        recurrent: bool,
-        coaching: Option<&Coaching>,
-    ) -> Self {
-        let places = &mut Places::default();
-        Self {
-            agents: AgentLayers::of(agents, recurrent, places),
-            mixer: MixerLayers::of(mixer, places),
-            coaching: coaching.map(|coaching| coaching.layers(places)),
-            merged: places.end,
-            outputs: mixer.outputs,
-        }
-    }
 }
 
 /// What values are computed with.
@@ -102,8 +84,8 @@ struct Bootstrapped {
 /// What values are compared with their targets by.
 pub(super) struct Comparison<'a> {
     pub(super) popart: &'a PopArt,
-    /// The head's weights and biases by which they are compared; gradients go through those that learn.
-    pub(super) head: (&'a [f32], &'a [f32]),
+    /// The head's weights, then its biases, by which they are compared; gradients go through those that learn.
+    pub(super) head: &'a [f32],
     /// Terms of the whole loss.
     pub(super) terms: usize,
 }
@@ -153,13 +135,6 @@ impl Lane {
 }
 
 impl<'a> Step<'a> {
-    /// Has the gradient go through other weights and biases of the mixer's head.
-    pub(super) fn set_head(&mut self, (weights, biases): (&[f32], &[f32])) {
-        for (start, numbers) in self.layers.mixer.head.into_iter().zip([weights, biases]) {
-            self.online.parameters[start..start + numbers.len()].copy_from_slice(numbers);
-        }
-    }
-
     /// Takes the gradient of the merged layers to that of what they follow from.
     pub(super) fn hand_back(&self, tape: &mut Tape, gradient: &mut Vec<f32>) {
         let Layers { mixer, merged, .. } = self.layers;
@@ -285,7 +260,7 @@ impl<'a> Step<'a> {
 
     /// The output of the head that values a subtask.
     fn output(&self, task: usize) -> u32 {
-        (task % self.layers.outputs) as u32
+        (task % self.layers.mixer.shape.outputs) as u32
     }
 
     /// Adds the terms of some states with their rewards; lists those that bootstrap, teams of a state together.
@@ -367,10 +342,11 @@ impl<'a> Step<'a> {
 
 /// The slopes of the loss by the values of some terms, which come with their values before the head and its outputs.
 fn compare<'t>(
-    Comparison { popart, head: (weights, biases), terms }: &Comparison<'_>,
+    Comparison { popart, head, terms }: &Comparison<'_>,
     compared: impl Iterator<Item = ((&'t f32, &'t u32), &'t Term)>,
     sums: &mut Sums,
 ) -> Vec<f32> {
+    let (weights, biases) = head.split_at(head.len() / 2);
     let slope = |((raw, output), term): ((&f32, &u32), &Term)| {
         let value = weights[*output as usize] * raw + biases[*output as usize];
         let error = f64::from(value) - popart.normalise(term.target);
