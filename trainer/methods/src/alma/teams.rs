@@ -3,13 +3,14 @@
 
 use sortie_core::Policy;
 use sortie_envs::Observation;
+use sortie_learn::networks::best;
 use sortie_learn::subtasks::{self, AllocatedScene, MaskedViews};
 use sortie_learn::{LearnError, Thought};
-use sortie_nn::tape::{Gru, Places, Tape};
+use sortie_nn::tape::{Gru, Tape};
 
 use crate::alma::agents::{
     Columns, Conditioning, NO_ACTION, NetworkPolicy, TeamBatch, UtilityLayers, UtilityShape,
-    UtilityView, best_action,
+    UtilityView,
 };
 use crate::alma::coach::{Advice, Coach, strategy_of};
 
@@ -39,7 +40,7 @@ impl subtasks::Agents for NetworkAgents<'_> {
     ) -> Result<(), LearnError> {
         self.players.act(self.agents, scenes, slots, |scene, agent, utilities| {
             let available = scenes[scene].seen.available[agent];
-            actions[scene * slots + agent] = best_action(utilities, available).into();
+            actions[scene * slots + agent] = best(utilities, available) as u16;
         })
     }
 
@@ -102,7 +103,8 @@ pub struct Players {
     memory: Vec<f32>,
     /// `[rows, R]`: the same of those who act.
     remembered: Vec<f32>,
-    operations: u64,
+    /// Floating-point operations of all passes up to now.
+    pub operations: u64,
 }
 
 impl Players {
@@ -116,11 +118,6 @@ impl Players {
             remembered: Vec::new(),
             operations: 0,
         }
-    }
-
-    /// Floating-point operations of all passes up to now.
-    pub fn operations(&self) -> u64 {
-        self.operations
     }
 
     /// Computes the utilities `[U]` of all agents of all scenes and gives them to `each` with scene and agent.
@@ -142,7 +139,7 @@ impl Players {
         self.recall(scenes, slots, shape.base, unit.is_none());
         let Self { batch, tape, actors, remembered, operations, .. } = self;
         let mut t = tape.begin(network.parameters);
-        let layers = UtilityLayers::of(shape, &mut Places::default());
+        let layers = UtilityLayers::of(shape);
         let mut base = layers.base(&mut t, batch.input());
         if coach.is_some() {
             let mut told = vec![0.0; actors.len() * shape.base];
@@ -278,8 +275,8 @@ mod tests {
             let mut seen = Observation::default();
             city.observe(&state, 0, 0, &mut seen);
             for (agent, thought) in thoughts.iter().enumerate().take(seen.agents()) {
-                let best = best_action(&thought.scores, seen.available[agent]);
-                assert_eq!(u16::from(best), actions[agent], "agent {agent}");
+                let best = best(&thought.scores, seen.available[agent]);
+                assert_eq!(best as u16, actions[agent], "agent {agent}");
                 let of_first: f32 = thought.attention.iter().map(|(_, weights)| weights[0]).sum();
                 assert!((of_first - 1.0).abs() < 1e-5, "{of_first}");
             }

@@ -172,7 +172,7 @@ pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found,
     tensors.allocation("target_critic", &target.parameters, &target.parameters.values);
     tensors.allocation("policy", &policy.parameters, &policy.parameters.values);
 
-    let last = allocation.last_step();
+    let last = &allocation.last;
     let of_critic = unclipped(&last.critic_gradient, allocated.critic_norm);
     let of_policy = unclipped(&last.policy_gradient, allocated.policy_norm);
     tensors.allocation("gradient.critic", &critic.parameters, &of_critic);

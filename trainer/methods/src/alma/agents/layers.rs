@@ -96,7 +96,8 @@ pub struct UtilityLayers {
 
 impl UtilityLayers {
     /// Those of a network of this shape.
-    pub fn of(shape: UtilityShape, places: &mut Places) -> Self {
+    pub fn of(shape: UtilityShape) -> Self {
+        let places = &mut Places::default();
         let UtilityShape { input, width, base, actions, skip, .. } = shape;
         Self {
             trunk: TrunkLayers::of(input, shape.attention(), places),

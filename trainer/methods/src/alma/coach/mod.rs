@@ -10,7 +10,7 @@ mod networks;
 use sortie_envs::{Observation, members};
 use sortie_learn::LearnError;
 use sortie_nn::random::{Generator, normals};
-use sortie_nn::tape::Tape;
+use sortie_nn::tape::{Pass, Tape};
 
 use super::agents::{TaskOrder, UtilityInput};
 
@@ -50,16 +50,13 @@ impl<'a> Advice<'a> {
         seen: &Observation,
         strategies: &mut Vec<f32>,
     ) -> Result<(), LearnError> {
-        let Self { coach, tape, input } = self;
-        let (shape, tasks) = (coach.layers.shape, seen.tasks());
+        let (shape, tasks) = (self.coach.layers.shape, seen.tasks());
         if tasks > shape.marks {
             let known = shape.marks;
             let reason = format!("the coach knows {known} subtasks, this state has {tasks}");
             return Err(LearnError::Config(reason));
         }
-        seen_input(shape, seen, &TaskOrder::identity(tasks), input);
-        let mut t = tape.begin(coach.parameters);
-        let told = coach.layers.strategies(&mut t, input);
+        let (t, told) = self.told(seen, &TaskOrder::identity(tasks));
         strategies.clear();
         strategies.extend_from_slice(t.values(told.means));
         Ok(())
@@ -73,15 +70,20 @@ impl<'a> Advice<'a> {
         generator: &mut Generator,
         strategies: &mut Vec<f32>,
     ) {
-        let Self { coach, tape, input } = self;
-        let shape = coach.layers.shape;
-        let order = TaskOrder::shuffled(shape.marks, generator);
-        seen_input(shape, seen, &order, input);
-        let mut t = tape.begin(coach.parameters);
-        let told = coach.layers.strategies(&mut t, input);
-        let drawn = told.draw(&mut t, &normals(generator, seen.agents() * shape.strategy));
+        let CoachShape { marks, strategy, .. } = self.coach.layers.shape;
+        let (mut t, told) = self.told(seen, &TaskOrder::shuffled(marks, generator));
+        let drawn = told.draw(&mut t, &normals(generator, seen.agents() * strategy));
         strategies.clear();
         strategies.extend_from_slice(t.values(drawn));
+    }
+
+    /// What the strategies of a state are drawn from.
+    fn told(&mut self, seen: &Observation, order: &TaskOrder) -> (Pass<'_>, Gaussian) {
+        let Self { coach: Coach { layers, parameters }, tape, input } = self;
+        seen_input(layers.shape, seen, order, input);
+        let mut t = tape.begin(parameters);
+        let told = layers.strategies(&mut t, input);
+        (t, told)
     }
 }
 

@@ -275,14 +275,14 @@ impl Method for WindowLearner {
         let learned = Learned::open(folder, &self.spec)?;
         let (shape, memory) = (self.low_level.shape(), self.low_level.part("memory"));
         let Learned { network, memory_unit, .. } = &learned;
-        if (network.shape(), memory_unit.len()) != (shape, memory.len()) {
-            let hint = shape.hint_to_become(network.shape(), "low_level.skip");
+        if (network.shape, memory_unit.len()) != (shape, memory.len()) {
+            let hint = shape.hint_to_become(network.shape, "low_level.skip");
             let reason = format!("`run.from` has agents of another shape{hint}");
             return Err(LearnError::Config(reason));
         }
         let LowLevel { online, target, .. } = &mut self.low_level;
         for values in [&mut online.values, target] {
-            values[..network.parameters().len()].copy_from_slice(network.parameters());
+            values[..network.parameters.len()].copy_from_slice(&network.parameters);
             values[memory.clone()].copy_from_slice(memory_unit);
         }
         Ok(())

@@ -249,7 +249,7 @@ fn recorded_step_agrees() {
     let draws = recorded_draws(&noise);
     let report = level.learn_with(&windows, 1_000_000, &draws, 2).expect("rows to learn from");
 
-    let step = level.last_step();
+    let step = &level.last;
     let number = |flags: &[bool]| flags.iter().map(|f| f32::from(u8::from(*f))).collect::<Vec<_>>();
     let rows = &step.rows;
     assert_close("reward", &rows.reward, &case.get("out/meta/reward").data);

@@ -239,7 +239,7 @@ fn learner(case: &Case, conditioning: Conditioning) -> LowLevel {
 fn recorded(case: &Case, prefix: &str) -> Vec<f32> {
     let agents = reference::agents(case, &format!("{prefix}agent."), 4);
     let mixer = reference::mixer(case, &format!("{prefix}mixer."), 0);
-    agents.parameters().iter().copied().chain(mixer).collect()
+    agents.parameters.iter().copied().chain(mixer).collect()
 }
 
 fn assert_near(what: &str, got: f64, want: f64, tolerance: f64) {

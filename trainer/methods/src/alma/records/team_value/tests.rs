@@ -159,12 +159,12 @@ fn a_row_says_what_an_entity_is_and_how_it_stands_to_the_subtask() {
 
 /// What a network says to questions, and its slope by the parameters where each answer counts so much.
 fn answers(network: &UtilityNetwork, input: &UtilityInput, slopes: &[f32]) -> (Vec<f32>, Vec<f32>) {
-    let layers = UtilityLayers::of(network.shape(), &mut Places::default());
+    let layers = UtilityLayers::of(network.shape);
     let mut tape = Tape::default();
-    let mut pass = tape.begin(network.parameters());
+    let mut pass = tape.begin(&network.parameters);
     let values = layers.utilities(&mut pass, input);
     let found = pass.values(values).to_vec();
-    let mut gradient = vec![0.0; network.parameters().len()];
+    let mut gradient = vec![0.0; network.parameters.len()];
     if !slopes.is_empty() {
         let loss = pass.weighted_sum(values, slopes);
         pass.backward(loss, &mut gradient);
@@ -208,16 +208,16 @@ fn check_gradient(network: &UtilityNetwork) {
     let input = input.queries(&toy(), queries);
     let slopes = [0.3, -1.0, 0.5, 2.0, -0.7, 0.2, 1.1, -0.4];
     let loss = |parameters: &[f32]| -> f64 {
-        let network = UtilityNetwork::from_parameters(network.shape(), parameters.to_vec());
-        let values = answers(&network.unwrap(), input, &[]).0;
+        let network = UtilityNetwork { shape: network.shape, parameters: parameters.to_vec() };
+        let values = answers(&network, input, &[]).0;
         values.iter().zip(slopes).map(|(v, s)| f64::from(*v) * f64::from(s)).sum()
     };
     let (found, gradient) = answers(network, input, &slopes);
     assert_eq!(found.len(), 8);
-    for tensor in network.shape().tensors() {
-        let at = &network.parameters()[tensor.range.clone()];
+    for tensor in network.shape.tensors() {
+        let at = &network.parameters[tensor.range.clone()];
         assert_gradient(&tensor.name, at, &gradient[tensor.range.clone()], |moved| {
-            let mut parameters = network.parameters().to_vec();
+            let mut parameters = network.parameters.to_vec();
             parameters[tensor.range.clone()].copy_from_slice(moved);
             loss(&parameters)
         });

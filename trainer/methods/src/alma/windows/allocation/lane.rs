@@ -5,7 +5,7 @@ use std::ops::Range;
 use sortie_nn::tape::Tape;
 
 use super::critic::CriticInput;
-use super::decide::{AllocationNetworks, best_of, blocks, push_distinct};
+use super::decide::{AllocationNetworks, best_of, blocks};
 use super::networks::AllocationCritic;
 use super::proposals::Proposals;
 use super::rows::Rows;
@@ -103,9 +103,8 @@ impl Lane {
             let mut proposals =
                 Proposals::draw(policy_tape, policy, own, &columns.policy, sampling);
             self.times.proposals += watch.lap();
-            push_distinct(input, critic, states, &proposals, &columns.critic);
-            let mut t = critic_tape.begin(&critic.parameters.values);
-            let values = critic.layers.values(&mut t, input);
+            let own = (states, &*columns.critic);
+            let (t, values) = critic.value(critic_tape, input, own, proposals.distinct());
             let found = best_of(&proposals, critic, t.values(values));
             self.operations += t.operations(false);
 
@@ -121,15 +120,9 @@ impl Lane {
             self.operations += proposals.t.operations(true);
             self.times.policy += watch.lap();
 
-            input.clear();
             let first = self.best.len() - block.len() * states.agents;
-            let allocations = self.best[first..].chunks_exact(states.agents);
-            for (row, allocation) in block.zip(allocations) {
-                input.begin_state(states);
-                input.push(target.shape, states, row, allocation, &draws.target);
-            }
-            let mut t = critic_tape.begin(&target.parameters.values);
-            let values = target.layers.values(&mut t, input);
+            let best = block.zip(self.best[first..].chunks_exact(states.agents));
+            let (t, values) = target.value(critic_tape, input, (states, &draws.target), best);
             self.values.extend(t.values(values).iter().map(|raw| target.real(*raw)));
             self.operations += t.operations(false);
             self.times.critic += watch.lap();
@@ -146,7 +139,7 @@ impl Lane {
         (targets, columns): (&[f64], &[u8]),
     ) {
         let mut watch = Stopwatch::start();
-        let (states, layers) = (&rows.states, critic.layers);
+        let states = &rows.states;
         zero(&mut self.critic_gradient, critic.parameters.values.len());
         self.squared_error = 0.0;
         for block in blocks(range) {
@@ -156,14 +149,9 @@ impl Lane {
             if counting.is_empty() {
                 continue;
             }
-            self.input.clear();
-            for row in &counting {
-                self.input.begin_state(states);
-                let allocation = states.allocation(*row);
-                self.input.push(critic.shape, states, *row, allocation, columns);
-            }
-            let mut t = self.critic_tape.begin(&critic.parameters.values);
-            let raw = layers.values(&mut t, &self.input);
+            let stored = counting.iter().map(|row| (*row, states.allocation(*row)));
+            let Self { critic_tape, input, .. } = self;
+            let (mut t, raw) = critic.value(critic_tape, input, (states, columns), stored);
             let mut slopes = Vec::with_capacity(counting.len());
             for (row, raw) in counting.iter().zip(t.values(raw)) {
                 let weight = loss.critic[*row];
@@ -172,7 +160,7 @@ impl Lane {
                 self.squared_error += error * error;
                 slopes.push((2.0 * weight * error / loss.critic_total) as f32);
             }
-            let values = layers.head(&mut t, raw);
+            let values = critic.layers.head(&mut t, raw);
             let loss = t.weighted_sum(values, &slopes);
             t.backward(loss, &mut self.critic_gradient);
             self.operations += t.operations(true);

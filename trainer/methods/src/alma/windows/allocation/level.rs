@@ -72,7 +72,8 @@ pub struct AllocationLevel {
     /// The optimisers of critic and policy.
     pub optimisers: [RmsProp; 2],
     lanes: Vec<Lane>,
-    last: LastStep,
+    /// What the last step was computed from.
+    pub last: LastStep,
     optimiser_time: Duration,
 }
 
@@ -109,11 +110,6 @@ impl AllocationLevel {
     /// The networks that decide.
     pub fn networks(&self) -> AllocationNetworks<'_> {
         AllocationNetworks { policy: &self.policy, critic: &self.critic }
-    }
-
-    /// What the last step was computed from.
-    pub fn last_step(&self) -> &LastStep {
-        &self.last
     }
 
     /// How long the parts of all steps have taken up to now.

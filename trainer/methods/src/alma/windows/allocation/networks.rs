@@ -5,10 +5,11 @@
 
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
-use sortie_nn::tape::{Linear, Parameters, Pass, Var};
+use sortie_nn::tape::{Linear, Parameters, Pass, Tape, Var};
 
 use super::AllocationShape;
 use super::critic::CriticInput;
+use super::rows::States;
 use crate::alma::agents::stacked;
 use crate::alma::windows::popart::PopArt;
 
@@ -150,6 +151,26 @@ impl AllocationCritic {
         let mut parameters = Parameters::default();
         let layers = CriticLayers::new(shape, &mut parameters, random);
         Self { shape, layers, parameters, popart: PopArt::default() }
+    }
+
+    /// Values allocations `[K, A]` of some states, `[allocations, 1]`, before PopArt's head; `columns [T]` are task columns.
+    pub(super) fn value<'t>(
+        &'t self,
+        tape: &'t mut Tape,
+        input: &mut CriticInput,
+        (states, columns): (&States, &[u8]),
+        allocations: impl Iterator<Item = (usize, impl AsRef<[u8]>)>,
+    ) -> (Pass<'t>, Var) {
+        input.clear();
+        for (state, own) in allocations {
+            input.begin_state(states);
+            for allocation in own.as_ref().chunks_exact(states.agents) {
+                input.push(self.shape, states, state, allocation, columns);
+            }
+        }
+        let mut t = tape.begin(&self.parameters.values);
+        let values = self.layers.values(&mut t, input);
+        (t, values)
     }
 
     /// The value of an output of the network before its PopArt head, in real units.

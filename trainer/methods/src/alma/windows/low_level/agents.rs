@@ -5,7 +5,7 @@
 //! the last state of an episode; who is absent has none.
 
 use sortie_nn::random::Generator;
-use sortie_nn::tape::{Gru, Parameters, Pass, Places, Var};
+use sortie_nn::tape::{Gru, Parameters, Pass, Var};
 
 use super::teams::{Look, Teams};
 use crate::alma::agents::{UtilityInput, UtilityLayers};
@@ -38,12 +38,12 @@ impl AgentLayers {
         let marks = &mut p.values[features * shape.width..shape.input * shape.width];
         marks.iter_mut().for_each(|weight| *weight *= factor);
         let unit = config.recurrent.then(|| p.gru("memory", shape.base, random));
-        Self { network: UtilityLayers::of(shape, &mut Places::default()), unit }
+        Self { network: UtilityLayers::of(shape), unit }
     }
 
     /// Those of agents that act.
     pub(super) fn of(agents: Agents<'_>) -> Self {
-        let network = UtilityLayers::of(agents.network.shape, &mut Places::default());
+        let network = UtilityLayers::of(agents.network.shape);
         Self { network, unit: agents.unit }
     }
 

@@ -10,7 +10,7 @@
 
 use std::time::Duration;
 
-use sortie_nn::tape::{Pass, Tape};
+use sortie_nn::tape::{Pass, Tape, Var};
 
 use super::agents::AgentLayers;
 use super::coaching::CoachingLayers;
@@ -244,10 +244,7 @@ impl<'a> Step<'a> {
         let mut t = tape.begin(&self.target.parameters);
         let strategies = told(&mut t, &self.target, teams);
         let look = self.look(View::NEXT_AS_BEFORE, &self.target.order);
-        let utilities = self.layers.agents.utilities(&mut t, look, teams, strategies);
-        let chosen = t.pick(utilities, &best);
-        teams.write_mixer(self.look(View::NEXT_AS_BEFORE, &self.mixer_order), input);
-        let values = self.layers.mixer.mix(&mut t, self.layers.merged, input, chosen);
+        let values = self.mixed(&mut t, (look, strategies), (teams, input), &best);
         let outputs = bootstrapped.iter().map(|it| self.output(it.task.unwrap_or(0)));
         let values = self.layers.mixer.head(&mut t, values, &outputs.collect::<Vec<_>>());
         for (value, Bootstrapped { term, discount, .. }) in
@@ -256,6 +253,20 @@ impl<'a> Step<'a> {
             lane.terms[*term].target += discount * popart.denormalise(f64::from(*value));
         }
         lane.operations += t.operations(false);
+    }
+
+    /// The values of teams before the head, from the utilities of these actions.
+    fn mixed(
+        &self,
+        t: &mut Pass<'_>,
+        (look, told): (Look<'_>, Option<Var>),
+        (teams, input): (&mut Teams, &mut MixerInput),
+        actions: &[u32],
+    ) -> Var {
+        let utilities = self.layers.agents.utilities(t, look, teams, told);
+        let chosen = t.pick(utilities, actions);
+        teams.write_mixer(self.look(look.view, &self.mixer_order), input);
+        self.layers.mixer.mix(t, self.layers.merged, input, chosen)
     }
 
     /// The output of the head that values a subtask.
@@ -319,12 +330,9 @@ impl<'a> Step<'a> {
         });
         let look = self.look(View::NOW, &self.online.order);
         let strategies = told.map(|(_, told)| told.strategies);
-        let utilities = self.layers.agents.utilities(&mut t, look, teams, strategies);
-        let taken =
-            teams.agents().map(|(state, agent)| windows.actions[state * shape.agents + agent]);
-        let chosen = t.pick(utilities, &taken.map(u32::from).collect::<Vec<_>>());
-        teams.write_mixer(self.look(View::NOW, &self.mixer_order), input);
-        let raw = self.layers.mixer.mix(&mut t, self.layers.merged, input, chosen);
+        let taken = teams.agents().map(|(state, agent)| state * shape.agents + agent);
+        let taken: Vec<u32> = taken.map(|place| windows.actions[place].into()).collect();
+        let raw = self.mixed(&mut t, (look, strategies), (teams, input), &taken);
         let outputs: Vec<u32> = terms.iter().map(|term| self.output(term.task)).collect();
         let slopes = compare(comparison, t.values(raw).iter().zip(&outputs).zip(terms), sums);
         let values = self.layers.mixer.head(&mut t, raw, &outputs);
