@@ -100,9 +100,6 @@ fn settle_older(run: &mut Table) {
     }
 }
 
-/// The methods of this module.
-pub const METHODS: [MethodEntry; 3] = [ALMA, FLAT, COPA];
-
 const MIXER: Flag = Flag { name: "--mixer", assignments: &["mixer.kind={}"] };
 const TEAM_MAX: Flag = Flag { name: "--team-max", assignments: &["allocation.team_max={}"] };
 

@@ -182,7 +182,7 @@ fn heads_are_paid_for_where_they_come_to() {
     let worth = |cell: u16| table.find(place(cell)).unwrap();
     let there = worth(21).here.intrinsic[0];
     assert!((worth(20).actions[3].intrinsic[0] - there).abs() < 1e-5);
-    let paid = novelty(learner.counts.visits(0, 21));
+    let paid = novelty(learner.counts.all()[0][21]);
     assert!((paid - 50_f32.powf(-0.7)).abs() < 1e-6, "{paid}");
     // It is after the team's reward too, and goes right from there.
     let next = worth(21).actions[3].intrinsic[0];
@@ -309,7 +309,7 @@ fn visits_are_counted_by_agents_and_cells_and_teams() {
         counts.visit(cells.into_iter());
     }
     let visits = [(0, 7), (0, 8), (1, 8), (1, 399), (1, 7), (1, 0)];
-    assert_eq!(visits.map(|(agent, cell)| counts.visits(agent, cell)), [3, 1, 2, 1, 1, 0]);
+    assert_eq!(visits.map(|(agent, cell)| counts.all()[agent][cell]), [3, 1, 2, 1, 1, 0]);
     assert_eq!(counts.novelties(7), [novelty(3), 1.0]);
     assert_eq!(counts.team_novelty([7, 8].into_iter()), novelty(2));
     assert_eq!(counts.team_novelty([8, 8].into_iter()), 1.0);

@@ -163,7 +163,7 @@ fn with_allocation(config: &Config, by: &str) -> Config {
 fn fill(config: &Config, seed: u64, episodes: usize) -> Result<Replay, Failure> {
     let rules = ["heuristic", "random"].map(|by| with_allocation(config, by));
     let [mut first, mut second] = [Player::new(&rules[0], seed)?, Player::new(&rules[1], seed)?];
-    let played = |player: &Player| player.method.replay.len();
+    let played = |player: &Player| player.method.replay.episodes().len();
     while played(&first) + played(&second) < episodes {
         first.round()?;
         second.round()?;

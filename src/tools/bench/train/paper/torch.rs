@@ -166,7 +166,7 @@ pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found,
     }
     tensors.low_level("online", &low_level, &levels.low_level.online.values);
     tensors.low_level("target", &low_level, &levels.low_level.target);
-    tensors.low_level("gradient.online", &low_level, low_level.gradient());
+    tensors.low_level("gradient.online", &low_level, &low_level.gradient);
     let AllocationLevel { critic, policy, target, .. } = &levels.allocation;
     tensors.allocation("critic", &critic.parameters, &critic.parameters.values);
     tensors.allocation("target_critic", &target.parameters, &target.parameters.values);

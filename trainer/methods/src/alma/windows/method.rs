@@ -383,7 +383,7 @@ mod tests {
                 play.round(&mut method, now, &mut EpisodeCounts::default()).unwrap();
                 method.update(&*ring, now, &mut reports).unwrap();
             }
-            assert_eq!(method.replay.len(), 8);
+            assert_eq!(method.replay.episodes().len(), 8);
             assert_ne!(method.low_level.online, before);
             assert!(reports.agents.iter().all(|report| report.loss > 0.0), "{reports:?}");
             let measured = play::evaluate(&*ring, &mut *method.team(), 8, 3).unwrap();

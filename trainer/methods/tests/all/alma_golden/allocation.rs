@@ -5,7 +5,7 @@ use sortie_methods::alma::windows::allocation::{
     AllocationCritic, AllocationLearning, AllocationLevel, AllocationNetworks, AllocationPolicy,
     AllocationShape, Decider, Noise, RowRules, StateView, States, StepDraws, TaskColumns,
 };
-use sortie_methods::alma::windows::{NO_TASK, PopArt};
+use sortie_methods::alma::windows::{Config, NO_TASK, PopArt};
 use sortie_nn::layers::SparseRows;
 
 use super::coach::columns as rows_of;
@@ -221,11 +221,13 @@ fn recorded_level() -> (AllocationLevel, Case) {
         critic
     };
     let policy = policy(&case, "w/policy.");
+    let usual = Config::default().allocation_learning(windows(&case).shape);
     let learning = AllocationLearning {
+        shape: policy.shape,
         proposals: 4,
         rows: RowRules { interval: 3.0, most: 400, age_limit: 150_000.0 },
         as_public_code: true,
-        ..AllocationLearning::published(policy.shape, 3.0)
+        ..usual
     };
     let (online, target) = (with_statistics("w/critic."), with_statistics("target_w/critic."));
     (AllocationLevel::with_networks(learning, online, policy, target), case)

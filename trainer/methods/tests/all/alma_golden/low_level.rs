@@ -279,8 +279,8 @@ fn check_step(name: &str, conditioning: Conditioning) {
     assert_near("norm", norm, case.get("out/stat/train_metrics.q_grad_norm").data[0], 1e-5);
 
     let want = recorded(&case, "out/grad/");
-    assert_eq!(learner.gradient().len(), want.len());
-    for (index, (got, want)) in learner.gradient().iter().zip(&want).enumerate() {
+    assert_eq!(learner.gradient.len(), want.len());
+    for (index, (got, want)) in learner.gradient.iter().zip(&want).enumerate() {
         let tolerance = 1e-6 + 1e-3 * want.abs();
         assert!((got - want).abs() <= tolerance, "{name}: gradient {index}: {got} against {want}");
     }

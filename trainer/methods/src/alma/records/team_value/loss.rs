@@ -48,18 +48,12 @@ pub struct TeamValues {
 pub struct TeamLesson {
     input: TeamValueInput,
     seen: Observation,
-    targets: Vec<f32>,
+    /// Those of what was learned from last.
+    pub(super) targets: Vec<f32>,
     /// Places in the lesson of what has a next decision.
     followed: Vec<usize>,
     /// Floating-point operations of the last use.
     pub operations: u64,
-}
-
-impl TeamLesson {
-    /// The targets of what was learned from last.
-    pub fn targets(&self) -> &[f32] {
-        &self.targets
-    }
 }
 
 /// How often segments may be drawn in vain before there seem to be none.

@@ -307,7 +307,7 @@ fn closed_subtasks_and_ended_episodes_do_not_bootstrap() {
                 environment.observe(decision(drawn.place.after(1)).state, 0, 0, &mut seen);
                 seen.open_tasks >> drawn.task & 1 == 1
             };
-            assert_eq!(shard.space.targets()[0] != drawn.task as f32 - 1.0, goes_on);
+            assert_eq!(shard.space.targets[0] != drawn.task as f32 - 1.0, goes_on);
             loss
         });
         bootstrapped += usize::from(segments.end(drawn.place) == End::Open);

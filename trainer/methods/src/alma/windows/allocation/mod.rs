@@ -48,22 +48,6 @@ pub struct AllocationLearning {
     pub as_public_code: bool,
 }
 
-impl AllocationLearning {
-    /// The published parameters, for decisions every `interval` environment steps.
-    pub fn published(shape: AllocationShape, interval: f32) -> Self {
-        Self {
-            shape,
-            proposals: 32,
-            rows: RowRules { interval, most: 400, age_limit: 150_000.0 },
-            discount: 0.99,
-            entropy: 0.01,
-            learning_rate: 5e-4,
-            gradient_norm: 10.0,
-            as_public_code: false,
-        }
-    }
-}
-
 /// The random choices of a step.
 #[derive(Clone, Debug)]
 pub struct StepDraws<'a> {

@@ -150,15 +150,6 @@ impl States {
         Self { agents, entities, tasks, ..Self::default() }
     }
 
-    /// Forgets all states, keeps the memory.
-    pub fn clear(&mut self) {
-        self.features.clear();
-        self.present.clear();
-        self.entity_task.clear();
-        self.open.clear();
-        self.last_allocation.clear();
-    }
-
     /// Adds a state. Panics if a slice has another length than the sizes say.
     pub fn push(&mut self, state: StateView<'_>) {
         assert_eq!(state.present.len(), self.entities, "entities");

@@ -14,7 +14,7 @@ use super::{
     AllocationLearning, AllocationLevel, AllocationNetworks, AllocationShape, Decider, RowRules,
     StateView, States, StepDraws, TaskColumns,
 };
-use crate::alma::windows::{NO_TASK, WindowShape, Windows};
+use crate::alma::windows::{Config, NO_TASK, WindowShape, Windows};
 use sortie_learn::random::{Purpose, generator};
 
 const AGENTS: usize = 3;
@@ -313,7 +313,9 @@ fn agents_learn_to_go_where_they_belong() {
         proposals: 8,
         rows: RowRules { interval: 1.0, most: 100, age_limit: 1e6 },
         learning_rate: 5e-3,
-        ..AllocationLearning::published(shape, 1.0)
+        shape,
+        ..Config::default()
+            .allocation_learning(matching(&mut generator(2, Purpose::Rollout, 0), 1).shape)
     };
     let mut level = AllocationLevel::new(learning, 1);
     let mut random = generator(1, Purpose::Rollout, 0);

@@ -82,7 +82,8 @@ pub struct LowLevel {
     /// Follows the gradient.
     pub optimiser: RmsProp,
     lanes: Vec<Lane>,
-    gradient: Vec<f32>,
+    /// The last gradient, of all parameters that learn.
+    pub gradient: Vec<f32>,
     optimiser_time: Duration,
 }
 
@@ -285,12 +286,6 @@ impl LowLevel {
     /// Floating-point operations of all steps up to now: those of matrix products and attention.
     pub fn operations(&self) -> u64 {
         self.lanes.iter().map(|lane| lane.operations).sum()
-    }
-
-    /// The last gradient: of the parameters of agents, recurrent unit, mixer, coach and
-    /// recognition.
-    pub fn gradient(&self) -> &[f32] {
-        &self.gradient
     }
 
     /// The terms of the last step, in no particular order.

@@ -165,7 +165,7 @@ fn gradients_agree_with_finite_differences() {
         let agents = tensors.iter().map(|tensor| (&*tensor.name, tensor.range.clone()));
         for (name, range) in agents.chain(parts).filter(|(_, range)| !range.is_empty()) {
             let parameters = &fresh.online.values[range.clone()];
-            let gradient = &learner.gradient()[range.clone()];
+            let gradient = &learner.gradient[range.clone()];
             assert_gradient(name, parameters, gradient, |parameters| {
                 let mut moved = fresh.clone();
                 moved.online.values[range.clone()].copy_from_slice(parameters);

@@ -160,16 +160,6 @@ impl Replay {
     pub fn episodes(&self) -> &[Episode] {
         &self.episodes
     }
-
-    /// Number of episodes.
-    pub fn len(&self) -> usize {
-        self.episodes.len()
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.episodes.is_empty()
-    }
 }
 
 /// How a batch is cut, and what is added to its rewards.

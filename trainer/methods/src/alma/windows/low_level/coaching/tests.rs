@@ -65,11 +65,11 @@ fn gradients_of_a_step_agree_with_finite_differences() {
     assert!(report.coach_loss > 0.1, "{report:?}");
     let agents = 0..fresh.shape().parameters();
     let recognition = fresh.part("recognition");
-    assert_eq!(learner.gradient().len(), recognition.end);
+    assert_eq!(learner.gradient.len(), recognition.end);
     let parts = [("agents", agents), ("coach", fresh.part("coach")), ("recognition", recognition)];
     for (name, range) in parts {
         let parameters = &fresh.online.values[range.clone()];
-        let gradient = &learner.gradient()[range.clone()];
+        let gradient = &learner.gradient[range.clone()];
         assert_gradient(name, parameters, gradient, |parameters| {
             let mut moved = fresh.clone();
             moved.online.values[range.clone()].copy_from_slice(parameters);
@@ -102,7 +102,7 @@ fn players_that_are_told_nothing_learn_as_flat_agents() {
     let [coached, alone] =
         [&mut told_nothing, &mut flat].map(|learner| learner.descend(&windows, 1, &mut draws()));
     assert_eq!((coached.loss, coached.target), (alone.loss, alone.target));
-    assert_eq!(told_nothing.gradient()[..flat.gradient().len()], *flat.gradient());
+    assert_eq!(told_nothing.gradient[..flat.gradient.len()], flat.gradient);
 }
 
 #[test]
