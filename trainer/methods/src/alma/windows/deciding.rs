@@ -101,9 +101,7 @@ const _: () = assert!(NO_TASK == UNASSIGNED);
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::windows::allocation::{
-        AllocationCritic, AllocationPolicy, AllocationShape, StateView,
-    };
+    use crate::alma::windows::allocation::{AllocationCritic, AllocationPolicy, AllocationShape};
     use crate::alma::windows::{
         Episode, Moment, Replay, SampleShape, Shaping, Windows, cut_windows,
     };
@@ -154,14 +152,7 @@ mod tests {
             let sizes = windows.shape;
             let last: Vec<u8> = (0..sizes.agents).map(|agent| (agent % 2) as u8).collect();
             let mut states = States::new(sizes.agents, sizes.entities, sizes.tasks);
-            states.push(StateView {
-                features: &windows.features,
-                first_row: 0,
-                present: &windows.present,
-                entity_task: &windows.entity_task,
-                open: &windows.open,
-                last_allocation: &last,
-            });
+            states.push(&windows, 0, &last);
             let noise = Noise::Seeded { seed: draws(number).next_u64(), greedy_first: false };
             let columns = TaskColumns::in_order(sizes.tasks);
             let want = Decider::default().decide(networks, &states, &columns, (8, noise));

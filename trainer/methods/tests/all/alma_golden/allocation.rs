@@ -3,10 +3,9 @@
 use sortie_learn::random::{Purpose, generator};
 use sortie_methods::alma::windows::allocation::{
     AllocationCritic, AllocationLearning, AllocationLevel, AllocationNetworks, AllocationPolicy,
-    AllocationShape, Decider, Noise, RowRules, StateView, States, StepDraws, TaskColumns,
+    AllocationShape, Decider, Noise, RowRules, States, StepDraws, TaskColumns,
 };
-use sortie_methods::alma::windows::{Config, NO_TASK, PopArt};
-use sortie_nn::layers::SparseRows;
+use sortie_methods::alma::windows::{Config, NO_TASK, PopArt, WindowShape, Windows};
 
 use super::coach::columns as rows_of;
 use super::windows::{task_of, windows};
@@ -129,18 +128,21 @@ fn states(case: &Case, agents: usize) -> States {
         Some(last) => tasks_of(last, 1.0),
         None => vec![NO_TASK; count * agents],
     };
-    let mut features = SparseRows::default();
-    entities.f32s().chunks(width).for_each(|row| features.push_dense(row));
+    let mut windows = Windows::new(WindowShape {
+        windows: count,
+        steps: 1,
+        agents,
+        entities: slots,
+        tasks,
+        actions: 0,
+        features: width,
+    });
+    windows.features.clear();
+    entities.f32s().chunks(width).for_each(|row| windows.features.push_dense(row));
+    (windows.present, windows.entity_task, windows.open) = (present, entity_task, open);
     let mut states = States::new(agents, slots, tasks);
-    for state in 0..count {
-        states.push(StateView {
-            features: &features,
-            first_row: state * slots,
-            present: &present[state * slots..][..slots],
-            entity_task: &entity_task[state * slots..][..slots],
-            open: &open[state * tasks..][..tasks],
-            last_allocation: &last[state * agents..][..agents],
-        });
+    for (state, last) in last.chunks(agents).enumerate() {
+        states.push(&windows, state, last);
     }
     states
 }

@@ -24,7 +24,7 @@ pub use decide::{AllocationNetworks, Decided, Decider, Proposed, TaskColumns};
 pub use level::{AllocationLevel, AllocationReport, LastStep};
 pub use networks::{AllocationCritic, AllocationPolicy};
 pub use proposals::Noise;
-pub use rows::{RowRules, Rows, StateView, States};
+pub use rows::{RowRules, Rows, States};
 
 /// How the high level learns.
 #[derive(Clone, Copy, Debug, PartialEq)]

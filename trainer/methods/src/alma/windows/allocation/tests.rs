@@ -1,9 +1,10 @@
 //! Laws of the allocation networks: probabilities, gradients, and that they learn.
 
+use std::ops::Range;
+
 use rand_core::Rng;
 use sortie_envs::random::{below, chance};
 use sortie_nn::gradient_check::{assert_gradient, random};
-use sortie_nn::layers::SparseRows;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Parameters, Tape, Tensor};
 
@@ -12,7 +13,7 @@ use super::networks::{AllocationCritic, AllocationPolicy};
 use super::proposals::{Noise, Proposals};
 use super::{
     AllocationLearning, AllocationLevel, AllocationNetworks, AllocationShape, Decider, RowRules,
-    StateView, States, StepDraws, TaskColumns,
+    States, StepDraws, TaskColumns,
 };
 use crate::alma::windows::{Config, NO_TASK, WindowShape, Windows};
 use sortie_learn::random::{Purpose, generator};
@@ -25,33 +26,52 @@ const SHAPE: AllocationShape = AllocationShape { features: 4, columns: 4, width:
 const STATES: usize = 13;
 
 /// States with absent entities, closed subtasks, and subtasks of none, one and several entities.
-fn some_states() -> States {
+fn some_windows() -> Windows {
     let mut random = generator(5, Purpose::Rollout, 0);
-    let mut states = States::new(AGENTS, ENTITIES, TASKS);
+    let mut windows = Windows::new(WindowShape {
+        windows: STATES,
+        steps: 1,
+        agents: AGENTS,
+        entities: ENTITIES,
+        tasks: TASKS,
+        actions: 1,
+        features: SHAPE.features,
+    });
+    windows.features.clear();
     for index in 0..STATES {
-        let mut features = SparseRows::default();
         for row in self::random(index as u64, ENTITIES * SHAPE.features).chunks(SHAPE.features) {
-            features.push_dense(row);
+            windows.features.push_dense(row);
         }
         let task = |random: &mut Generator| match below(random, TASKS + 1) {
             TASKS => NO_TASK,
             task => task as u8,
         };
-        let present: Vec<bool> = (0..ENTITIES).map(|_| chance(&mut random, 0.8)).collect();
-        let entity_task: Vec<u8> = (0..ENTITIES).map(|_| task(&mut random)).collect();
-        let last: Vec<u8> = (0..AGENTS).map(|_| task(&mut random)).collect();
+        let present = &mut windows.present[index * ENTITIES..][..ENTITIES];
+        present.fill_with(|| chance(&mut random, 0.8));
+        windows.entity_task[index * ENTITIES..][..ENTITIES].fill_with(|| task(&mut random));
+        windows.last_allocation[index * AGENTS..][..AGENTS].fill_with(|| task(&mut random));
         // In one state nobody can be allocated at all.
-        let open: Vec<bool> = (0..TASKS).map(|_| chance(&mut random, 0.8) && index != 3).collect();
-        states.push(StateView {
-            features: &features,
-            first_row: 0,
-            present: &present,
-            entity_task: &entity_task,
-            open: &open,
-            last_allocation: &last,
-        });
+        let open = &mut windows.open[index * TASKS..][..TASKS];
+        open.fill_with(|| chance(&mut random, 0.8) && index != 3);
+    }
+    windows
+}
+
+/// Some of these states.
+fn states_of(range: Range<usize>) -> States {
+    let (windows, mut states) = (some_windows(), States::new(AGENTS, ENTITIES, TASKS));
+    for state in range {
+        states.push(&windows, state, &windows.last_allocation[state * AGENTS..][..AGENTS]);
     }
     states
+}
+
+fn some_states() -> States {
+    states_of(0..STATES)
+}
+
+fn one_state(state: usize) -> States {
+    states_of(state..state + 1)
 }
 
 /// Every allocation of present agents to open subtasks.
@@ -71,19 +91,6 @@ fn all_allocations(states: &States, state: usize) -> Vec<u8> {
     all.concat()
 }
 
-fn one_state(states: &States, state: usize) -> States {
-    let mut one = States::new(AGENTS, ENTITIES, TASKS);
-    one.push(StateView {
-        features: &states.features,
-        first_row: state * ENTITIES,
-        present: states.present(state),
-        entity_task: states.entity_task(state),
-        open: states.open(state),
-        last_allocation: states.last_allocation(state),
-    });
-    one
-}
-
 fn columns() -> TaskColumns {
     TaskColumns { policy: vec![3, 0, 1], critic: vec![2, 3, 0] }
 }
@@ -95,7 +102,7 @@ fn probabilities_of_all_allocations_sum_to_one() {
     let mut decider = Decider::default();
     for state in (0..STATES).filter(|state| states.open(*state).contains(&true)) {
         let all = all_allocations(&states, state);
-        let one = one_state(&states, state);
+        let one = one_state(state);
         let sampling = (all.len() / AGENTS, Noise::Given(&all));
         let proposed = decider.propose(&policy, &one, &columns(), sampling);
         assert_eq!(proposed.allocations, all);
@@ -139,7 +146,7 @@ fn the_best_proposal_has_the_highest_value_behind_the_head() {
 
 #[test]
 fn choices_are_drawn_as_often_as_they_are_likely() {
-    let one = one_state(&some_states(), 1);
+    let one = one_state(1);
     let policy = AllocationPolicy::initialise(SHAPE, &mut generator(1, Purpose::Weights, 0));
     let mut decider = Decider::default();
     const DRAWS: usize = 20_000;
@@ -173,7 +180,7 @@ fn states_do_not_see_each_other() {
     let together = decider.propose(&policy, &states, &columns(), (4, Noise::Gumbel(&noise)));
     let values = decider.value(&critic, &states, &columns(), &together.allocations);
     for state in 0..STATES {
-        let one = one_state(&states, state);
+        let one = one_state(state);
         let own = Noise::Gumbel(&noise[state * 4 * AGENTS * TASKS..][..4 * AGENTS * TASKS]);
         let alone = decider.propose(&policy, &one, &columns(), (4, own));
         assert_eq!(alone.allocations, together.allocations[state * 4 * AGENTS..][..4 * AGENTS]);
