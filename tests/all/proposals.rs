@@ -9,7 +9,10 @@ use sortie_bundle::{AGENT, Bundle, Draft, GoldenAllocation, MIN_CASES, PROPOSAL_
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::plan::{AlignedBytes, Plan, Profile};
 use sortie_core::{Allocator, UNASSIGNED};
-use sortie_methods::proposals::{AllocationShape, CriticWeights, PolicyWeights, export_proposals};
+use sortie_envs::random::generator;
+use sortie_methods::proposals::{
+    AllocationCritic, AllocationPolicy, AllocationShape, Parameters, export_proposals, transpose,
+};
 use sortie_plans::{BundlePlans, CompilerProcess};
 
 use crate::support::{BUNDLE, json};
@@ -40,44 +43,54 @@ fn proposing(folder: &Path) {
     draft.write(folder).expect("a new folder");
 }
 
-fn networks(shape: AllocationShape) -> (PolicyWeights, CriticWeights) {
-    let AllocationShape { features, columns, width, .. } = shape;
+/// Tensors of both networks, as they are drawn.
+const ENTITIES: [&str; 3] = ["entity.weight", "entity.bias", "task.weight"];
+const ATTENTION: [&str; 3] = ["attention.in.weight", "attention.out.weight", "attention.out.bias"];
+const COUNTS: [&str; 2] = ["count.weight", "count.bias"];
+
+/// Fills parameters with such numbers, which are in the layouts of PyTorch.
+fn fill(
+    parameters: &mut Parameters,
+    names: &[&str],
+    width: usize,
+    mut tensor: impl FnMut(usize) -> Vec<f32>,
+) {
+    for name in names {
+        let own = parameters.tensors().iter().find(|tensor| tensor.name == *name);
+        let range = own.expect(name).range.clone();
+        let drawn = tensor(range.len());
+        let is_turned = ["entity.weight", "task.weight", "count.weight"].contains(name);
+        let drawn = if is_turned { transpose(&drawn, width, drawn.len() / width) } else { drawn };
+        parameters.values[range].copy_from_slice(&drawn);
+    }
+}
+
+fn networks(shape: AllocationShape) -> (AllocationPolicy, AllocationCritic) {
+    let width = shape.width;
     let mut state = 11_u32;
     let mut next = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         ((state >> 8) as f32 / 8_388_608.0 - 1.0) * 0.25
     };
     let mut tensor = |count: usize| (0..count).map(|_| next()).collect::<Vec<f32>>();
-    let policy = PolicyWeights {
-        shape,
-        entity_weight: tensor(width * features),
-        entity_bias: tensor(width),
-        task_weight: tensor(width * columns),
-        attention_in_weight: tensor(3 * width * width),
-        attention_out_weight: tensor(width * width),
-        attention_out_bias: tensor(width),
-        count_weight: tensor(width * 2),
-        count_bias: tensor(width),
-        update_weight: tensor(2 * width * width),
-        update_bias: tensor(width),
-    };
-    let critic = CriticWeights {
-        shape,
-        entity_weight: tensor(width * features),
-        entity_bias: tensor(width),
-        task_weight: tensor(width * columns),
-        count_weight: tensor(width * 2),
-        count_bias: tensor(width),
-        attention_in_weight: tensor(3 * width * width),
-        attention_out_weight: tensor(width * width),
-        attention_out_bias: tensor(width),
-        value_weight: tensor(width),
-        value_bias: tensor(1),
-        popart_weight: 1.0,
-        popart_bias: 0.0,
-        mean: 0.0,
-        deviation: 1.0,
-    };
+    let random = &mut generator(1);
+    let mut policy = AllocationPolicy::initialise(shape, random);
+    for part in [&ENTITIES[..], &ATTENTION, &COUNTS] {
+        fill(&mut policy.parameters, part, width, &mut tensor);
+    }
+    // Of every row of the update, the task's half stands before the agent's.
+    let update = tensor(2 * width * width);
+    for (half, name) in ["update.task.weight", "update.agent.weight"].iter().enumerate() {
+        let rows = update.chunks(width).skip(half).step_by(2);
+        let half = |_| rows.clone().flatten().copied().collect();
+        fill(&mut policy.parameters, &[name], width, half);
+    }
+    fill(&mut policy.parameters, &["update.agent.bias"], width, &mut tensor);
+    let mut critic = AllocationCritic::initialise(shape, random);
+    for part in [&ENTITIES[..], &COUNTS, &ATTENTION] {
+        fill(&mut critic.parameters, part, width, &mut tensor);
+    }
+    fill(&mut critic.parameters, &["value.weight", "value.bias"], width, &mut tensor);
     (policy, critic)
 }
 

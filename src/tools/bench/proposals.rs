@@ -8,7 +8,10 @@ use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::GumbelDraw;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{AllocationState, EntityMask};
-use sortie_methods::proposals::{AllocationShape, CriticWeights, PolicyWeights, export_proposals};
+use sortie_envs::random::generator;
+use sortie_methods::proposals::{
+    AllocationCritic, AllocationPolicy, AllocationShape, export_proposals,
+};
 use sortie_plans::{CompileError, CompileOptions, Compiler, DrawnProposals, ProposalFiles};
 
 use super::rounds::{alternate_long, engine, our_engine};
@@ -38,7 +41,9 @@ pub(super) struct ProposalsArguments {
 
 pub(super) fn measure(arguments: &ProposalsArguments) -> Result<Figures, Failure> {
     let mut random = Numbers(arguments.measuring.common.seed as u32);
-    let (policy, critic) = networks(&mut random);
+    let weights = &mut generator(arguments.measuring.common.seed);
+    let policy = AllocationPolicy::initialise(SHAPE, weights);
+    let critic = AllocationCritic::initialise(SHAPE, weights);
     let graphs = export_proposals(&policy, &critic, 0).map_err(Failure::bug)?;
     let files = ProposalFiles { trunk: &graphs.trunk, step: &graphs.step, critic: &graphs.critic };
     let mut plans = Vec::new();
@@ -138,52 +143,10 @@ impl Numbers {
         self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (self.0 >> 8) as f32 / 8_388_608.0 - 1.0
     }
-
-    /// A tensor as layers of so many inputs are initialised.
-    fn tensor(&mut self, count: usize, inputs: usize) -> Vec<f32> {
-        let bound = 1.0 / (inputs as f32).sqrt();
-        (0..count).map(|_| bound * self.next()).collect()
-    }
 }
 
 /// Features of which a sixth is not zero, as in Save the City.
 fn features(random: &mut Numbers) -> Vec<f32> {
     let feature = |index: usize| if index.is_multiple_of(6) { random.next() } else { 0.0 };
     (0..ENTITIES * SHAPE.features).map(feature).collect()
-}
-
-fn networks(random: &mut Numbers) -> (PolicyWeights, CriticWeights) {
-    let AllocationShape { features, columns, width, .. } = SHAPE;
-    let mut tensor = |outputs: usize, inputs: usize| random.tensor(outputs * inputs, inputs);
-    let policy = PolicyWeights {
-        shape: SHAPE,
-        entity_weight: tensor(width, features),
-        entity_bias: tensor(1, width),
-        task_weight: tensor(width, columns),
-        attention_in_weight: tensor(3 * width, width),
-        attention_out_weight: tensor(width, width),
-        attention_out_bias: tensor(1, width),
-        count_weight: tensor(width, 2),
-        count_bias: tensor(1, width),
-        update_weight: tensor(width, 2 * width),
-        update_bias: tensor(1, width),
-    };
-    let critic = CriticWeights {
-        shape: SHAPE,
-        entity_weight: tensor(width, features),
-        entity_bias: tensor(1, width),
-        task_weight: tensor(width, columns),
-        count_weight: tensor(width, 2),
-        count_bias: tensor(1, width),
-        attention_in_weight: tensor(3 * width, width),
-        attention_out_weight: tensor(width, width),
-        attention_out_bias: tensor(1, width),
-        value_weight: tensor(1, width),
-        value_bias: tensor(1, 1),
-        popart_weight: 1.0,
-        popart_bias: 0.0,
-        mean: 0.0,
-        deviation: 1.0,
-    };
-    (policy, critic)
 }

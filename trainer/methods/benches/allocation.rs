@@ -12,23 +12,18 @@ use std::time::{Duration, Instant};
 
 use rustix::time::{ClockId, clock_gettime};
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::alma::windows::allocation::{
-    AllocationLearning, AllocationLevel, AllocationShape,
-};
+use sortie_methods::alma::windows::Config;
+use sortie_methods::alma::windows::allocation::{AllocationLearning, AllocationLevel};
 use sortie_nn::layers::matrix::{Matrix, MatrixMut, Store, multiply};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let rounds: usize = std::env::args().find_map(|word| word.parse().ok()).unwrap_or(20);
     let windows = windows::record()?;
-    let shape = AllocationShape {
-        features: windows.shape.features,
-        columns: windows.shape.tasks,
-        width: 128,
-        heads: 4,
-    };
     // Steps without length keep the networks as they were drawn.
-    let learning =
-        AllocationLearning { learning_rate: 0.0, ..AllocationLearning::published(shape, 5.0) };
+    let learning = AllocationLearning {
+        learning_rate: 0.0,
+        ..Config::default().allocation_learning(windows.shape)
+    };
     println!("product kernel: {:.0} GFLOP/s by one thread", kernel_speed());
     for threads in [1, 2] {
         let mut level = AllocationLevel::new(learning, 1);

@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let weights = &mut generator(1, Purpose::Weights, 0);
     let mut learner = LowLevel::new(config, windows.shape, weights);
     if method == "copa" {
-        learner.add_coach(CoachConfig::default(), weights);
+        learner.add_coach(&CoachConfig::default(), weights);
     }
     let peak = peak();
     println!("matrix products reach {peak:.1} GFLOP/s on one thread");

@@ -178,11 +178,6 @@ impl Counts {
         }
     }
 
-    /// Visits of an agent to a cell.
-    pub fn visits(&self, agent: usize, cell: u16) -> u32 {
-        self.visits[usize::from(cell) * self.agents + agent]
-    }
-
     /// `[agents, cells]`: visits of each agent to each cell.
     pub fn all(&self) -> Vec<Vec<u32>> {
         let of = |agent| self.visits.iter().skip(agent).step_by(self.agents).copied().collect();

@@ -141,7 +141,7 @@ fn batch(learner: &ActorCritic, config: &Config, random: &mut Generator) -> Batc
     let encoder = &learner.critic_learner.online.tensors()[0];
     let state = encoder.shape[1];
     let states = [state, state].map(|columns| noise(columns, random));
-    let pairs = 0..groups.0.len() * learner.policies.heads();
+    let pairs = 0..groups.0.len() * learner.policies.heads;
     let paid = pairs.map(|_| noise(1, random)).collect();
     let discount = config.returns.discount;
     let discounts: Vec<f32> =
@@ -171,7 +171,7 @@ fn settings(config: &Config, learner: &ActorCritic) -> HashMap<String, String> {
     let of = |(name, number): (&str, f64)| (name.to_string(), number.to_string());
     let settings = [
         ("agents", learner.groups.0.len() as f64),
-        ("heads", learner.policies.heads() as f64),
+        ("heads", learner.policies.heads as f64),
         ("choices", learner.groups.0[0].actions as f64),
         ("rate", f64::from(optimiser.critic_rate)),
         ("weight_decay", f64::from(optimiser.weight_decay)),

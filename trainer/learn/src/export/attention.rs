@@ -368,7 +368,7 @@ pub fn axis(axis: i64) -> Attribute<'static> {
 }
 
 /// The matrix as `[inputs, outputs]`, so that no graph needs to transpose it.
-fn inputs_first<'a>(
+pub fn inputs_first<'a>(
     tensor: &'static str,
     matrix: &Matrix<'a>,
     [inputs, outputs]: [usize; 2],

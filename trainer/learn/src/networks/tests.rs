@@ -445,3 +445,9 @@ fn who_is_absent_does_what_is_left_to_it() {
         assert_eq!(chosen(&seen), want, "{agent}");
     }
 }
+
+#[test]
+fn the_best_available_action_is_the_first_of_equals() {
+    assert_eq!(best(&[1.0, 3.0, 3.0, 9.0], 0b0111), 1);
+    assert_eq!(best(&[1.0, f32::NAN], 0b10), 1);
+}

@@ -30,7 +30,7 @@ fn networks(actors: Actors<'_>) -> OwnRowNetworks {
         network_of.resize(group.agents.end, index);
         networks.push(OwnRowNetwork { features: group.observed, layers: layers.into() });
     }
-    OwnRowNetworks { slope: policies.slope(), network_of, networks }
+    OwnRowNetworks { slope: policies.slope, network_of, networks }
 }
 
 /// Takes into a group's first layer what becomes of each of its inputs: a factor times it, and an offset.

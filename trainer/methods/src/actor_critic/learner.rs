@@ -85,7 +85,7 @@ impl ActorCritic {
         normalised: bool,
         threads: usize,
     ) -> Self {
-        let each = groups.0.iter().flat_map(|group| vec![group.clone(); policies.heads()]);
+        let each = groups.0.iter().flat_map(|group| vec![group.clone(); policies.heads]);
         let [target_rate, average_rate] = rules.follow;
         let adam = AdamRules { decay: 0.0, ..rules.adam };
         let of_policies =
@@ -140,7 +140,7 @@ impl ActorCritic {
     fn score(&mut self, shards: Shards, shown: &Rows, by: By) {
         let Self { groups, policies, policy_learner, scores, .. } = self;
         policy_learner.look(shards.count(), by, |Shard { number, pass, space, .. }| {
-            let (heads, records) = (0..policies.heads(), shards.records(*number));
+            let (heads, records) = (0..policies.heads, shards.records(*number));
             let scores = policies.scores(pass, groups, shown, heads, records);
             keep(pass, space, scores.into_iter());
         });
@@ -178,7 +178,7 @@ impl ActorCritic {
         let mut values = values.iter();
         self.targets.iter_mut().for_each(|targets| emptied(targets, each.0.len()));
         for (index, scores) in self.scores.iter_mut().enumerate() {
-            let (of, columns) = (index / self.policies.heads(), each.0[index].actions);
+            let (of, columns) = (index / self.policies.heads, each.0[index].actions);
             scores.chunks_exact_mut(columns).for_each(softmax::log_forward);
             let (rule, actions) = (rules.own_actions, &actions[index]);
             let choices = Choices { rule, entropy, columns, logarithms: scores, actions };
@@ -207,7 +207,7 @@ impl ActorCritic {
 
     /// Moves the critic towards the targets. Its shards keep the values that it had.
     fn update_critic(&mut self, batch: &Batch) -> UpdateReport {
-        let (shards, heads) = (self.shards(batch), self.policies.heads());
+        let (shards, heads) = (self.shards(batch), self.policies.heads);
         let Self { rules, groups, each, critic, critic_learner, running, .. } = self;
         // What was done was done under one head, and counts for all.
         let taken = batch.actions.iter().flat_map(|actions| vec![actions.clone(); heads]);
@@ -265,7 +265,7 @@ impl ActorCritic {
         let values: Vec<&Rows> = critic_learner.spaces().collect();
         let share = 1.0 / batch.records as f32;
         let loss = |Shard { number, pass, .. }: &mut Shard<'_, Rows>| {
-            let (heads, records) = (0..policies.heads(), shards.records(*number));
+            let (heads, records) = (0..policies.heads, shards.records(*number));
             let scores = policies.scores(pass, groups, &batch.observations, heads, records.clone());
             let mut whole = None;
             for (index, scores) in scores.into_iter().enumerate() {
@@ -291,7 +291,7 @@ impl ActorCritic {
             }
             Loss::of(pass, |_| whole.expect("there are agents"))
         };
-        let (each_head, clip) = (1.0 / policies.heads() as f32, rules.clips[1]);
+        let (each_head, clip) = (1.0 / policies.heads as f32, rules.clips[1]);
         self.policy_learner.update_by(shards.count(), rules.rates[1], loss, |gradient| {
             policies.ranges().fold(0.0, |longest: f32, (range, shared)| {
                 let gradient = &mut gradient[range];

@@ -10,8 +10,10 @@ use super::groups::{Groups, Rows, bent};
 /// The policies of all groups: a first layer, and two more for each head.
 #[derive(Clone, Debug)]
 pub struct Policies {
-    slope: f32,
-    heads: usize,
+    /// What is made of numbers below zero.
+    pub(super) slope: f32,
+    /// How many heads each group has.
+    pub heads: usize,
     groups: Vec<Layers>,
 }
 
@@ -55,21 +57,11 @@ impl Policies {
         (Self { slope: shape.slope, heads: shape.heads, groups }, parameters)
     }
 
-    /// What is made of numbers below zero.
-    pub(super) fn slope(&self) -> f32 {
-        self.slope
-    }
-
     /// The layers of a group with one of its heads.
     pub(super) fn layers(&self, group: usize, head: usize) -> [Linear; 3] {
         let Layers { first, heads, .. } = &self.groups[group];
         let [second, last] = heads[head];
         [*first, second, last]
-    }
-
-    /// How many heads each group has.
-    pub fn heads(&self) -> usize {
-        self.heads
     }
 
     /// Where the weights of each group stand, and how many of them, the first, all its heads share.

@@ -16,13 +16,13 @@ pub(super) fn deployed(
     conditioning: Conditioning,
 ) -> Result<DeployedAgents<'_>, LearnError> {
     if let Some(coach) = agents.coach {
-        let numbers = coach.shape().strategy;
+        let numbers = coach.layers.shape.strategy;
         return Err(LearnError::Config(format!(
             "agents with a coach are evaluated only: deployed they would need the coach, which sees \
              everything, and a message of {numbers} numbers from it to each of them"
         )));
     }
-    if !agents.memory_unit.is_empty() {
+    if agents.unit.is_some() {
         let reason =
             "agents with a memory are evaluated only: teams of processes keep no memories yet";
         return Err(LearnError::Config(reason.to_owned()));

@@ -76,7 +76,5 @@ fn network(
     name: &str,
     shape: UtilityShape,
 ) -> Result<UtilityNetwork, LearnError> {
-    let parameters = checkpoint.vector(name, &shape.tensors())?;
-    let misfit = || checkpoint.bad(format!("`{name}` does not fit its shape"));
-    UtilityNetwork::from_parameters(shape, parameters).ok_or_else(misfit)
+    Ok(UtilityNetwork { shape, parameters: checkpoint.vector(name, &shape.tensors())? })
 }

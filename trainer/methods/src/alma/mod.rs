@@ -3,33 +3,6 @@
 //!
 //! Two learners: one from [`records`], the preset `fast`, one from [`windows`], the preset `paper`.
 
-/// What networks have whose parameters are all in one vector.
-macro_rules! flat_network {
-    ($network:ident, $shape:ident) => {
-        impl $network {
-            /// One with these parameters, or `None` where their number does not fit the shape.
-            pub fn from_parameters(shape: $shape, parameters: Vec<f32>) -> Option<Self> {
-                (parameters.len() == shape.parameters()).then_some(Self { shape, parameters })
-            }
-
-            /// The sizes.
-            pub fn shape(&self) -> $shape {
-                self.shape
-            }
-
-            /// All parameters, in the order of the shape's tensors.
-            pub fn parameters(&self) -> &[f32] {
-                &self.parameters
-            }
-
-            /// All parameters, to be changed.
-            pub fn parameters_mut(&mut self) -> &mut [f32] {
-                &mut self.parameters
-            }
-        }
-    };
-}
-
 pub mod agents;
 pub mod coach;
 mod export;
@@ -129,9 +102,6 @@ fn settle_older(run: &mut Table) {
         }
     }
 }
-
-/// The methods of this module.
-pub const METHODS: [MethodEntry; 3] = [ALMA, FLAT, COPA];
 
 const MIXER: Flag = Flag { name: "--mixer", assignments: &["mixer.kind={}"] };
 const TEAM_MAX: Flag = Flag { name: "--team-max", assignments: &["allocation.team_max={}"] };

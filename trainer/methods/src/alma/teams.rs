@@ -3,13 +3,14 @@
 
 use sortie_core::Policy;
 use sortie_envs::Observation;
+use sortie_learn::networks::best;
 use sortie_learn::subtasks::{self, AllocatedScene, MaskedViews};
 use sortie_learn::{LearnError, Thought};
-use sortie_nn::tape::{Places, Tape};
+use sortie_nn::tape::{Gru, Tape};
 
 use crate::alma::agents::{
     Columns, Conditioning, NO_ACTION, NetworkPolicy, TeamBatch, UtilityLayers, UtilityShape,
-    UtilityView, best_action,
+    UtilityView,
 };
 use crate::alma::coach::{Advice, Coach, strategy_of};
 
@@ -39,7 +40,7 @@ impl subtasks::Agents for NetworkAgents<'_> {
     ) -> Result<(), LearnError> {
         self.players.act(self.agents, scenes, slots, |scene, agent, utilities| {
             let available = scenes[scene].seen.available[agent];
-            actions[scene * slots + agent] = best_action(utilities, available).into();
+            actions[scene * slots + agent] = best(utilities, available) as u16;
         })
     }
 
@@ -49,8 +50,8 @@ impl subtasks::Agents for NetworkAgents<'_> {
 
     /// Of agents that decide by what the subtask mask shows and nothing else, whom they attend to can be told.
     fn thoughts(&mut self, scenes: &[AllocatedScene<'_>]) -> Vec<Thought> {
-        let Agents { network, memory_unit, .. } = self.agents;
-        if self.conditioning != Conditioning::Mask || !memory_unit.is_empty() {
+        let Agents { network, unit, .. } = self.agents;
+        if self.conditioning != Conditioning::Mask || unit.is_some() {
             return Vec::new();
         }
         let (mut policy, mut views) = (NetworkPolicy::new(network), MaskedViews::default());
@@ -78,16 +79,16 @@ impl subtasks::Agents for NetworkAgents<'_> {
 pub struct Agents<'a> {
     /// Their utility network.
     pub network: UtilityView<'a>,
-    /// The recurrent unit of their memory; empty where they have none.
-    pub memory_unit: &'a [f32],
+    /// The recurrent unit of their memory among the same parameters, if they have one.
+    pub unit: Option<Gru>,
     /// What tells them their strategies at decision points, if anything does (COPA).
-    pub coach: Option<&'a Coach>,
+    pub coach: Option<Coach<'a>>,
 }
 
 impl<'a> Agents<'a> {
     /// Agents without memory and coach.
     pub fn new(network: UtilityView<'a>) -> Self {
-        Self { network, memory_unit: &[], coach: None }
+        Self { network, unit: None, coach: None }
     }
 }
 
@@ -98,13 +99,12 @@ pub struct Players {
     tape: Tape,
     /// (scene, agent) of every row of the batch.
     actors: Vec<(usize, usize)>,
-    /// Of network and memory unit, where there is one.
-    parameters: Vec<f32>,
     /// `[worlds, A, R]`: what every agent remembers.
     memory: Vec<f32>,
     /// `[rows, R]`: the same of those who act.
     remembered: Vec<f32>,
-    operations: u64,
+    /// Floating-point operations of all passes up to now.
+    pub operations: u64,
 }
 
 impl Players {
@@ -114,16 +114,10 @@ impl Players {
             batch: TeamBatch::new(conditioning),
             tape: Tape::default(),
             actors: Vec::new(),
-            parameters: Vec::new(),
             memory: Vec::new(),
             remembered: Vec::new(),
             operations: 0,
         }
-    }
-
-    /// Floating-point operations of all passes up to now.
-    pub fn operations(&self) -> u64 {
-        self.operations
     }
 
     /// Computes the utilities `[U]` of all agents of all scenes and gives them to `each` with scene and agent.
@@ -140,19 +134,12 @@ impl Players {
         mut each: impl FnMut(usize, usize, &[f32]),
     ) -> Result<(), LearnError> {
         self.look(agents.network.shape, scenes)?;
-        let Agents { network, memory_unit, coach } = agents;
+        let Agents { network, unit, coach } = agents;
         let shape = network.shape;
-        self.recall(scenes, slots, shape.base, memory_unit.is_empty());
-        let Self { batch, tape, actors, parameters, remembered, operations, .. } = self;
-        let mut t = tape.begin(if memory_unit.is_empty() {
-            network.parameters
-        } else {
-            parameters.clear();
-            parameters.extend(network.parameters.iter().chain(memory_unit));
-            &parameters[..]
-        });
-        let places = &mut Places::default();
-        let layers = UtilityLayers::of(shape, places);
+        self.recall(scenes, slots, shape.base, unit.is_none());
+        let Self { batch, tape, actors, remembered, operations, .. } = self;
+        let mut t = tape.begin(network.parameters);
+        let layers = UtilityLayers::of(shape);
         let mut base = layers.base(&mut t, batch.input());
         if coach.is_some() {
             let mut told = vec![0.0; actors.len() * shape.base];
@@ -164,8 +151,8 @@ impl Players {
             let told = t.input(shape.base, &told);
             base = t.add(base, told);
         }
-        if !memory_unit.is_empty() {
-            base = t.gru(base, places.gru(shape.base), &vec![true; actors.len()], remembered);
+        if let Some(unit) = unit {
+            base = t.gru(base, unit, &vec![true; actors.len()], remembered);
         }
         let utilities = layers.head(&mut t, base);
         *operations += t.operations(false);
@@ -288,8 +275,8 @@ mod tests {
             let mut seen = Observation::default();
             city.observe(&state, 0, 0, &mut seen);
             for (agent, thought) in thoughts.iter().enumerate().take(seen.agents()) {
-                let best = best_action(&thought.scores, seen.available[agent]);
-                assert_eq!(u16::from(best), actions[agent], "agent {agent}");
+                let best = best(&thought.scores, seen.available[agent]);
+                assert_eq!(best as u16, actions[agent], "agent {agent}");
                 let of_first: f32 = thought.attention.iter().map(|(_, weights)| weights[0]).sum();
                 assert!((of_first - 1.0).abs() < 1e-5, "{of_first}");
             }

@@ -138,7 +138,7 @@ impl Learner {
 
     /// What is deployed.
     pub fn deployed(&self) -> Version {
-        if self.audition.best().is_some() { Version::Best } else { Version::Now }
+        if self.audition.best.is_some() { Version::Best } else { Version::Now }
     }
 
     /// What an agent's actions are worth to the team where it is: `[actions]`. Where it was never, it goes by the same
@@ -202,23 +202,14 @@ impl Shares {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Audition {
     /// Number of the policy that is tried out, from 1; 0 before the first.
-    number: u32,
+    pub number: u32,
     episodes: u32,
     returns: f64,
-    best: Option<f64>,
+    /// The mean return of the best so far.
+    pub best: Option<f64>,
 }
 
 impl Audition {
-    /// The policy that is tried out, by its number; 0 where none is.
-    pub fn number(&self) -> u32 {
-        self.number
-    }
-
-    /// The mean return of the best so far.
-    pub fn best(&self) -> Option<f64> {
-        self.best
-    }
-
     /// An episode of the policy of a number ended. Those of earlier ones do not count.
     pub fn add(&mut self, number: u32, episode_return: f64) {
         if number == self.number && number > 0 {

@@ -120,7 +120,7 @@ impl Method for MaExp {
             if self.learner.audition.is_over(audition.episodes) {
                 self.learner.audition_next();
             }
-            running.audition = self.learner.audition.number();
+            running.audition = self.learner.audition.number;
         }
     }
 
@@ -138,7 +138,7 @@ impl Method for MaExp {
         for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(agents)) {
             let Scene { instance, state, begins, .. } = *scene;
             let Running { head, places, rows, audition, .. } = &mut running[instance];
-            let is_tried = *audition > 0 && *audition == learner.audition.number();
+            let is_tried = *audition > 0 && *audition == learner.audition.number;
             if begins {
                 look(scenes.environment, columns, state, seen, places);
                 learner.visit(places);
@@ -259,18 +259,14 @@ const RATE: f64 = 0.1;
 /// Means of the discounted returns of episodes by the head that acted in them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Selector {
-    means: Vec<Option<f64>>,
+    /// What each head's episodes returned; none of heads that were never tried.
+    pub means: Vec<Option<f64>>,
 }
 
 impl Selector {
     /// So many heads, none of which was tried.
     pub fn new(heads: usize) -> Self {
         Self { means: vec![None; heads] }
-    }
-
-    /// What each head's episodes returned; none of heads that were never tried.
-    pub fn means(&self) -> &[Option<f64>] {
-        &self.means
     }
 
     /// An episode ended in which a head acted.

@@ -353,7 +353,7 @@ mod tests {
     fn cells_and_rewards_are_counted_once_a_step() {
         let (method, _, steps) = played(240);
         // The cells in which episodes began count too.
-        let visits = |agent| (0..CELLS as u16).map(|cell| method.counts.visits(agent, cell)).sum();
+        let visits = |agent: usize| method.counts.all()[agent].iter().sum();
         let all: [u32; 2] = [0, 1].map(visits);
         assert_eq!(all, [steps as u32 + 3; 2]);
         let count = |moments: &Moments| (moments.count - 1e-4).round();

@@ -63,7 +63,7 @@ pub struct Lesson {
     preferred: Vec<u32>,
     /// The states in which something was done, and the targets of their values.
     learnt: Vec<u32>,
-    targets: Vec<f32>,
+    pub(super) targets: Vec<f32>,
     memory: Vec<f32>,
 }
 
@@ -87,11 +87,6 @@ impl Lesson {
         self.after.clear();
         self.next.clear();
         self.discounts.clear();
-    }
-
-    /// The targets of what was learned from last, where something was done.
-    pub fn targets(&self) -> &[f32] {
-        &self.targets
     }
 }
 

@@ -147,7 +147,7 @@ fn check_gradients(shape: NetworkShape, partitions: Partitions, lesson: &mut Les
     let mut gradient = vec![0.0; online.values.len()];
     let both = [&*online.values, &target.values];
     descend(&networks, both, lesson, imagined, &mut gradient);
-    let targets = lesson.targets().to_vec();
+    let targets = lesson.targets.to_vec();
     // A softmax does not change with what is added to all of its scores.
     let matters = |tensor: &&Tensor| {
         tensor.name != "mixer.weights.project.bias" || shape.mixer.kind != MixerKind::Linear
@@ -275,7 +275,7 @@ fn whole_episodes_teach_what_their_steps_teach() {
             let both = [&*online.values, &target.values];
             let losses = descend(&networks, both, &mut lesson, None, &mut gradient);
             gradient.extend([losses.real as f32, losses.targets as f32]);
-            gradient.extend(lesson.targets());
+            gradient.extend(&lesson.targets);
             gradient
         });
         assert_eq!(whole.len(), apart.len());
@@ -314,8 +314,8 @@ fn targets_are_what_the_target_network_says_of_what_the_online_network_prefers()
             Some(lesson.rewards[record] + lesson.discounts[record] * values[(*next)? as usize])
         });
         let want: Vec<f32> = want.collect();
-        assert_eq!(lesson.targets().len(), want.len());
-        for (found, want) in lesson.targets().iter().zip(want) {
+        assert_eq!(lesson.targets.len(), want.len());
+        for (found, want) in lesson.targets.iter().zip(want) {
             assert!((found - want).abs() < 1e-5, "{found} {want}");
         }
     }

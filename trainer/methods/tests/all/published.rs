@@ -141,7 +141,9 @@ fn a_coach_learns_the_same_with_any_number_of_threads_and_when_resumed() {
     assert_eq!(opened.measured(8, u64::MAX - 5).return_mean, last.return_mean);
     let refused = opened.refused();
     assert!(refused.contains("coach") && refused.contains("8 numbers"), "{refused}");
-    opened.method.low_level.coaching = None;
+    let level = &mut opened.method.low_level;
+    let coach = level.part("coach");
+    level.online.values[coach].fill(0.0);
     assert_ne!(opened.measured(8, u64::MAX - 5).return_mean, last.return_mean);
 }
 
@@ -193,7 +195,9 @@ fn agents_with_a_memory_are_saved_resumed_and_measured() {
     let last = curve.last().expect("an evaluation");
     assert_eq!(opened.measured(8, u64::MAX - 5).return_mean, last.return_mean);
     assert!(opened.refused().contains("memory"));
-    opened.method.low_level.online.gru.fill(0.0);
+    let level = &mut opened.method.low_level;
+    let memory = level.part("memory");
+    level.online.values[memory].fill(0.0);
     assert_ne!(opened.measured(8, u64::MAX - 5).return_mean, last.return_mean);
 }
 
@@ -205,7 +209,9 @@ fn an_allocator_learns_for_agents_of_another_run_that_stay_as_they_are() {
     let frozen = [&from, "low_level.frozen=true"];
     run(&mut begin(small(&ALMA, &frozen), 2, 1, second.path()).unwrap(), u64::MAX);
     let [one, other] = [&first, &second].map(|folder| open_windows(folder.path()).method);
-    assert_eq!(one.low_level.online.agents, other.low_level.online.agents);
+    let agents = one.low_level.shape().parameters();
+    let [first, second] = [&one, &other].map(|method| &method.low_level.online.values[..agents]);
+    assert_eq!(first, second);
     let [one, other] = [one, other].map(|method| method.allocation.unwrap());
     assert_ne!(one.networks().policy, other.networks().policy);
 

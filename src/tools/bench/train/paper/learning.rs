@@ -6,8 +6,8 @@ use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
-use sortie_methods::learners::windows::allocation::{AllocationLevel, AllocationState};
-use sortie_methods::learners::windows::low_level::{LowLevel, LowLevelConfig};
+use sortie_methods::learners::windows::allocation::AllocationLevel;
+use sortie_methods::learners::windows::low_level::LowLevel;
 use sortie_methods::learners::windows::{
     Config, Replay, SampleShape, Shaping, WindowLearner, WindowShape, Windows, cut_windows,
     draw_episodes,
@@ -86,27 +86,21 @@ impl Levels {
         let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)
             .ok_or_else(|| Failure::new(Exit::Bug, "too few episodes for a batch"))?;
         let windows = cut_windows(&*environment, &replay, &drawn, sample, &mut generator);
-        let drawn_policy = allocation.state().policy;
+        let drawn_policy = allocation.policy.clone();
         for _ in 0..FIRST_STEPS {
             low_level.learn(&windows, 1, &mut generator);
             allocation.learn(&windows, 0, &mut generator, 1);
         }
         // From here on steps have no length, and the policy is as it was drawn: policies that learn
         // from one batch again and again propose the same, which saves work.
-        let still = LowLevelConfig { learning_rate: 0.0, ..config.low_level.clone() };
-        let mut low = LowLevel::new(still, sizes, &mut weights);
-        (low.online, low.target) = (low_level.online, low_level.target);
-        low.optimisers = low_level.optimisers;
-        let mut still = *allocation.learning();
-        still.learning_rate = 0.0;
-        let state = AllocationState { policy: drawn_policy, ..allocation.state() };
-        let allocation = AllocationLevel::restore(still, state)
-            .ok_or_else(|| Failure::new(Exit::Bug, "the allocator does not fit itself"))?;
+        low_level.config.learning_rate = 0.0;
+        allocation.learning.learning_rate = 0.0;
+        allocation.policy = drawn_policy;
         let learned = "learned".to_owned();
         let mut player = Player::new(&with_allocation(&config, &learned), seed)?;
-        player.method.low_level = low.clone();
+        player.method.low_level = low_level.clone();
         player.method.allocation = Some(allocation.clone());
-        Ok(Self { config, low_level: low, allocation, windows, generator, player })
+        Ok(Self { config, low_level, allocation, windows, generator, player })
     }
 
     /// Episodes of a round, which is also the number of steps that follow it.
@@ -169,7 +163,7 @@ fn with_allocation(config: &Config, by: &str) -> Config {
 fn fill(config: &Config, seed: u64, episodes: usize) -> Result<Replay, Failure> {
     let rules = ["heuristic", "random"].map(|by| with_allocation(config, by));
     let [mut first, mut second] = [Player::new(&rules[0], seed)?, Player::new(&rules[1], seed)?];
-    let played = |player: &Player| player.method.replay.len();
+    let played = |player: &Player| player.method.replay.episodes().len();
     while played(&first) + played(&second) < episodes {
         first.round()?;
         second.round()?;

@@ -6,12 +6,11 @@ use std::path::Path;
 use serde::Deserialize;
 use sortie_cli::failure::{Exit, Failure};
 use sortie_envs::random::unit;
-use sortie_methods::learners::agents::UtilityNetwork;
-use sortie_methods::learners::windows::allocation::{
-    AllocationCritic, AllocationPolicy, AllocationShape, Noise, Rows, StepDraws,
-};
-use sortie_methods::learners::windows::low_level::{HYPERNETWORKS, LowLevelNetworks, Mixer};
+use sortie_methods::learners::agents::{UtilityView, transpose};
+use sortie_methods::learners::windows::allocation::{AllocationLevel, Noise, Rows, StepDraws};
+use sortie_methods::learners::windows::low_level::LowLevel;
 use sortie_methods::learners::windows::{PopArt, WindowShape, Windows};
+use sortie_nn::tape::Parameters;
 
 use super::super::program::{Comparison, Expected, Program, Tensors, unclipped};
 use super::learning::Levels;
@@ -121,7 +120,7 @@ pub(super) struct Found {
 /// Computes both steps, and writes all that a peer needs to do the same if there is a `path`.
 pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found, Failure> {
     let WindowShape { tasks, agents, .. } = levels.windows.shape;
-    let learning = *levels.allocation.learning();
+    let learning = levels.allocation.learning;
     let mut draws = StepDraws::draw(tasks, learning.shape.columns, &mut levels.generator);
     let mut rows = Rows::default();
     rows.collect(&levels.windows, 0, &learning.rows);
@@ -165,55 +164,36 @@ pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found,
         let columns: Vec<i64> = columns.iter().map(|column| i64::from(*column)).collect();
         tensors.integers(format!("columns.{name}"), &[tasks], &columns);
     }
-    tensors.low_level("online", &levels.low_level.online);
-    tensors.low_level("target", &levels.low_level.target);
-    let state = levels.allocation.state();
-    let misfit = || Failure::new(Exit::Bug, "parameters do not fit their network");
-    let target =
-        AllocationCritic::from_parameters(learning.shape, state.target, state.target_popart)
-            .ok_or_else(misfit)?;
-    let networks = levels.allocation.networks();
-    tensors.critic("critic", networks.critic);
-    tensors.critic("target_critic", &target);
-    tensors.policy("policy", networks.policy);
+    tensors.low_level("online", &low_level, &levels.low_level.online.values);
+    tensors.low_level("target", &low_level, &levels.low_level.target);
+    tensors.low_level("gradient.online", &low_level, &low_level.gradient);
+    let AllocationLevel { critic, policy, target, .. } = &levels.allocation;
+    tensors.allocation("critic", &critic.parameters, &critic.parameters.values);
+    tensors.allocation("target_critic", &target.parameters, &target.parameters.values);
+    tensors.allocation("policy", &policy.parameters, &policy.parameters.values);
 
-    let gradient = low_level_gradient(&levels.low_level.online, low_level.gradient());
-    tensors.low_level("gradient.online", &gradient.ok_or_else(misfit)?);
-    let last = allocation.last_step();
+    let last = &allocation.last;
     let of_critic = unclipped(&last.critic_gradient, allocated.critic_norm);
     let of_policy = unclipped(&last.policy_gradient, allocated.policy_norm);
-    let critic = AllocationCritic::from_parameters(learning.shape, of_critic, PopArt::default());
-    let policy = AllocationPolicy::from_parameters(learning.shape, of_policy);
-    tensors.critic("gradient.critic", &critic.ok_or_else(misfit)?);
-    tensors.policy("gradient.policy", &policy.ok_or_else(misfit)?);
-    let statistics = [state.popart, state.target_popart];
+    tensors.allocation("gradient.critic", &critic.parameters, &of_critic);
+    tensors.allocation("gradient.policy", &policy.parameters, &of_policy);
+    let statistics = [critic.popart, target.popart];
     tensors.write(settings(levels, statistics), path).map_err(Failure::bug)?;
     Ok(found)
-}
-
-/// A gradient in the shape of its networks, or `None` where lengths differ.
-fn low_level_gradient(of: &LowLevelNetworks, gradient: &[f32]) -> Option<LowLevelNetworks> {
-    let (agents, mixer) = gradient.split_at_checked(of.agents.parameters().len())?;
-    Some(LowLevelNetworks {
-        agents: UtilityNetwork::from_parameters(of.agents.shape(), agents.to_vec())?,
-        gru: Vec::new(),
-        mixer: Mixer::from_parameters(of.mixer.shape(), mixer.to_vec())?,
-        popart: PopArt::default(),
-    })
 }
 
 /// The numbers of both steps, as the file's metadata.
 fn settings(levels: &Levels, [critic, target_critic]: [PopArt; 2]) -> HashMap<String, String> {
     let Levels { config, low_level, allocation, windows, .. } = levels;
-    let (online, target) = (low_level.online.popart, low_level.target.popart);
+    let (online, target) = (low_level.popart, low_level.target_popart);
     let settings = [
         ("steps", windows.shape.steps as f64),
         ("heads", config.low_level.heads as f64),
         ("proposals", config.allocation.proposals as f64),
         ("discount", config.low_level.returns.discount.into()),
         ("clip", config.low_level.clip.into()),
-        ("entropy", allocation.learning().entropy),
-        ("learning_rate", allocation.learning().learning_rate.into()),
+        ("entropy", allocation.learning.entropy),
+        ("learning_rate", allocation.learning.learning_rate.into()),
         ("mean", online.mean),
         ("variance", online.variance),
         ("target_mean", target.mean),
@@ -275,91 +255,47 @@ impl Tensors {
         self.floats("rows.weight".into(), &[count], &rows.weight);
     }
 
-    fn low_level(&mut self, of: &str, networks: &LowLevelNetworks) {
-        self.network(&format!("{of}.agents"), networks.agents.view());
-        self.mixer(of, &networks.mixer);
-    }
-
-    fn mixer(&mut self, of: &str, mixer: &Mixer) {
-        let shape = mixer.shape().hypernetwork;
-        let (input, width, mixing) = (shape.input, shape.width, shape.mixing);
-        let own = mixer.parameters().chunks_exact(shape.parameters());
-        for ((name, _), parameters) in HYPERNETWORKS.iter().zip(own) {
-            let (fc1, rest) = parameters.split_at(input * width);
-            let columns = 0..width;
-            let fc1: Vec<f32> =
-                columns.flat_map(|j| fc1.iter().skip(j).step_by(width)).copied().collect();
-            let square = width * width;
-            let mut rest = rest;
-            let mut take = |length: usize| {
-                let (own, behind) = rest.split_at(length);
-                rest = behind;
-                own.to_vec()
-            };
-            // Queries, keys and values stand one behind the other.
-            let layers: [(&str, &[usize], Vec<f32>); 7] = [
-                ("fc1.weight", &[width, input], fc1),
-                ("fc1.bias", &[width], take(width)),
-                ("attention.in.weight", &[3 * width, width], take(3 * square)),
-                ("attention.out.weight", &[width, width], take(square)),
-                ("attention.out.bias", &[width], take(width)),
-                ("fc2.weight", &[mixing, width], take(mixing * width)),
-                ("fc2.bias", &[mixing], take(mixing)),
-            ];
-            for (layer, shape, values) in layers {
-                self.floats(format!("{of}.{name}.{layer}"), shape, &values);
+    /// The tensors of agents and mixer in the layouts of PyTorch, of these numbers.
+    fn low_level(&mut self, of: &str, level: &LowLevel, values: &[f32]) {
+        let agents = UtilityView { shape: level.shape(), parameters: values };
+        self.network(&format!("{of}.agents"), agents);
+        for tensor in level.online.tensors() {
+            let Some(name) = tensor.name.strip_prefix("mixer.") else { continue };
+            let (name, own) = (format!("{of}.{name}"), &values[tensor.range.clone()]);
+            match tensor.shape[..] {
+                [rows, columns] if name.ends_with("fc1.weight") => {
+                    self.floats(name, &[columns, rows], &transpose(own, rows, columns));
+                }
+                _ => self.floats(name, &tensor.shape, own),
             }
         }
-        let (weights, biases) = mixer.head();
-        self.floats(format!("{of}.head.weight"), &[weights.len()], weights);
-        self.floats(format!("{of}.head.bias"), &[biases.len()], biases);
     }
 
-    fn critic(&mut self, of: &str, critic: &AllocationCritic) {
-        let AllocationShape { features, columns, width, .. } = critic.shape();
-        let w = critic.weights();
-        self.layers(
-            of,
-            &[
-                ("entity.weight", &[width, features], &w.entity_weight),
-                ("entity.bias", &[width], &w.entity_bias),
-                ("task.weight", &[width, columns], &w.task_weight),
-                ("count.weight", &[width, 2], &w.count_weight),
-                ("count.bias", &[width], &w.count_bias),
-                ("attention.in.weight", &[3 * width, width], &w.attention_in_weight),
-                ("attention.out.weight", &[width, width], &w.attention_out_weight),
-                ("attention.out.bias", &[width], &w.attention_out_bias),
-                ("value.weight", &[1, width], &w.value_weight),
-                ("value.bias", &[1], &w.value_bias),
-                ("head.weight", &[1], &[w.popart_weight]),
-                ("head.bias", &[1], &[w.popart_bias]),
-            ],
-        );
-    }
-
-    fn policy(&mut self, of: &str, policy: &AllocationPolicy) {
-        let AllocationShape { features, columns, width, .. } = policy.shape();
-        let w = policy.weights();
-        self.layers(
-            of,
-            &[
-                ("entity.weight", &[width, features], &w.entity_weight),
-                ("entity.bias", &[width], &w.entity_bias),
-                ("task.weight", &[width, columns], &w.task_weight),
-                ("attention.in.weight", &[3 * width, width], &w.attention_in_weight),
-                ("attention.out.weight", &[width, width], &w.attention_out_weight),
-                ("attention.out.bias", &[width], &w.attention_out_bias),
-                ("count.weight", &[width, 2], &w.count_weight),
-                ("count.bias", &[width], &w.count_bias),
-                ("update.weight", &[width, 2 * width], &w.update_weight),
-                ("update.bias", &[width], &w.update_bias),
-            ],
-        );
-    }
-
-    fn layers(&mut self, of: &str, layers: &[(&str, &[usize], &[f32])]) {
-        for (name, shape, values) in layers {
-            self.floats(format!("{of}.{name}"), shape, values);
+    /// The tensors of critic or policy in the layouts of PyTorch, of these numbers.
+    fn allocation(&mut self, of: &str, parameters: &Parameters, values: &[f32]) {
+        for tensor in parameters.tensors() {
+            let own = &values[tensor.range.clone()];
+            let name = format!("{of}.{}", tensor.name);
+            match (&*tensor.name, &tensor.shape[..]) {
+                ("entity.weight" | "task.weight" | "count.weight", [rows, columns]) => {
+                    self.floats(name, &[*columns, *rows], &transpose(own, *rows, *columns));
+                }
+                ("update.task.weight", [width, _]) => {
+                    // The agent's half stands behind it, there beside it.
+                    let agent = &values[tensor.range.end..][..own.len()];
+                    let rows = own.chunks(*width).zip(agent.chunks(*width));
+                    let rows: Vec<f32> = rows.flat_map(|both| [both.0, both.1].concat()).collect();
+                    self.floats(format!("{of}.update.weight"), &[*width, 2 * width], &rows);
+                }
+                ("update.agent.weight", _) => {}
+                ("update.agent.bias", _) => {
+                    self.floats(format!("{of}.update.bias"), &[own.len()], own);
+                }
+                (part, [1, columns]) if part.ends_with("bias") => {
+                    self.floats(name, &[*columns], own);
+                }
+                (_, shape) => self.floats(name, shape, own),
+            }
         }
     }
 }

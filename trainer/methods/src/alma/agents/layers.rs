@@ -3,9 +3,10 @@
 
 use sortie_learn::networks::View;
 use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::layers::{SparseRows, VisibleLists};
-use sortie_nn::random::{Generator, signed_unit};
-use sortie_nn::tape::{Linear, Pass, Places, Var};
+use sortie_nn::random::Generator;
+use sortie_nn::tape::{Linear, Parameters, Pass, Places, Var};
 
 use super::utility::UtilityShape;
 
@@ -48,16 +49,16 @@ impl UtilityInput {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TrunkLayers {
     /// `[input, E]`
-    fc1: Linear,
-    queries: Linear,
+    pub(crate) fc1: Linear,
+    pub(crate) queries: Linear,
     /// `[2 E, E]`
-    keys_values: Linear,
-    shape: AttentionShape,
+    pub(crate) keys_values: Linear,
+    pub(crate) shape: AttentionShape,
 }
 
 impl TrunkLayers {
     /// A trunk over entities of so many input columns.
-    pub(crate) fn of(input: usize, shape: AttentionShape, places: &mut Places) -> Self {
+    fn of(input: usize, shape: AttentionShape, places: &mut Places) -> Self {
         let width = shape.width;
         Self {
             fc1: places.linear(input, width),
@@ -95,7 +96,8 @@ pub struct UtilityLayers {
 
 impl UtilityLayers {
     /// Those of a network of this shape.
-    pub fn of(shape: UtilityShape, places: &mut Places) -> Self {
+    pub fn of(shape: UtilityShape) -> Self {
+        let places = &mut Places::default();
         let UtilityShape { input, width, base, actions, skip, .. } = shape;
         Self {
             trunk: TrunkLayers::of(input, shape.attention(), places),
@@ -133,16 +135,17 @@ impl UtilityLayers {
     }
 }
 
-/// Draws tensors that stand behind each other, of so many numbers each and inputs of its layer, uniformly in
-/// `±1/sqrt(inputs)`, as PyTorch does.
-pub(crate) fn drawn(
-    tensors: impl IntoIterator<Item = (usize, usize)>,
-    generator: &mut Generator,
-) -> Vec<f32> {
-    let mut parameters = Vec::new();
-    for (length, inputs) in tensors {
-        let bound = 1.0 / (inputs as f32).sqrt();
-        parameters.extend((0..length).map(|_| bound * signed_unit(generator)));
-    }
-    parameters
+/// Adds projections that stand behind each other as one tensor, each with so many times as many outputs as inputs.
+pub(crate) fn stacked<const COUNT: usize>(
+    p: &mut Parameters,
+    name: &str,
+    (width, times): (usize, [usize; COUNT]),
+    random: &mut Generator,
+) -> [Linear; COUNT] {
+    let mut whole = p.projection(name, width, times.iter().sum::<usize>() * width, random);
+    times.map(|times| {
+        let own = Linear { shape: LinearShape { input: width, output: times * width }, ..whole };
+        whole.weight = own.weight_range().end;
+        own
+    })
 }

@@ -5,10 +5,9 @@ mod policy;
 mod team_batch;
 mod utility;
 
-pub(crate) use layers::{TrunkLayers, drawn};
+pub(crate) use layers::{TrunkLayers, stacked};
 pub use layers::{UtilityInput, UtilityLayers};
 pub use policy::NetworkPolicy;
 pub use sortie_learn::subtasks::NO_ACTION;
-pub(crate) use team_batch::random_action;
-pub use team_batch::{Columns, Conditioning, TaskOrder, TeamBatch, best_action};
+pub use team_batch::{Columns, Conditioning, TaskOrder, TeamBatch};
 pub use utility::{UtilityNetwork, UtilityShape, UtilityView, transpose};

@@ -2,7 +2,7 @@
 
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, NO_ACTION, Observation, Policy};
-use sortie_nn::tape::{Places, Tape};
+use sortie_nn::tape::Tape;
 
 use super::layers::{UtilityInput, UtilityLayers};
 use super::utility::UtilityView;
@@ -90,7 +90,7 @@ impl Policy for NetworkPolicy<'_> {
     ) -> Result<(), DecideError> {
         self.fill(observation)?;
         let Self { network, tape, input, attention } = self;
-        let layers = UtilityLayers::of(network.shape, &mut Places::default());
+        let layers = UtilityLayers::of(network.shape);
         let mut pass = tape.begin(network.parameters);
         let [attended, base] = layers.look(&mut pass, input);
         let computed = layers.head(&mut pass, base);

@@ -3,10 +3,8 @@
 //! The subtask mask of ALMA lets an agent see its own team and its own subtask only (dissertation
 //! section 7.3). Without the mask an agent sees everything.
 
-use sortie_envs::random::{below, member};
-use sortie_envs::{
-    ActionSet, AgentSet, EntitySet, Observation, Shape, SparseRows, UNASSIGNED, members,
-};
+use sortie_envs::random::below;
+use sortie_envs::{AgentSet, EntitySet, Observation, Shape, SparseRows, UNASSIGNED, members};
 use sortie_learn::networks::Teams;
 use sortie_learn::subtasks::NO_ACTION;
 use sortie_learn::words;
@@ -229,24 +227,6 @@ impl TeamBatch {
     }
 }
 
-/// The available action of highest utility, the lowest index on ties.
-///
-/// Some action within `utilities` must be available.
-pub fn best_action(utilities: &[f32], available: ActionSet) -> u8 {
-    let mut best = (f32::NEG_INFINITY, available.trailing_zeros() as u8);
-    for (action, utility) in utilities.iter().enumerate() {
-        if available >> action & 1 == 1 && *utility > best.0 {
-            best = (*utility, action as u8);
-        }
-    }
-    best.1
-}
-
-/// A uniform choice among the available actions.
-pub(crate) fn random_action(available: ActionSet, generator: &mut Generator) -> u8 {
-    member(generator, available.into()).map_or(0, |action| action as u8)
-}
-
 /// Which mark stands for which subtask: the column of subtask t at place t.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TaskOrder(pub(crate) Vec<u16>);
@@ -349,11 +329,5 @@ mod tests {
                 assert_eq!(mark(row), Vec::from_iter(task.map(|task: usize| first + task)));
             }
         }
-    }
-
-    #[test]
-    fn the_best_available_action_is_the_first_of_equals() {
-        assert_eq!(best_action(&[1.0, 3.0, 3.0, 9.0], 0b0111), 1);
-        assert_eq!(best_action(&[1.0, f32::NAN], 0b10), 1);
     }
 }

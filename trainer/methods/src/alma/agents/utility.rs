@@ -86,14 +86,14 @@ impl UtilityShape {
     }
 }
 
-/// The network: its sizes and all parameters in one vector, which optimisers work on.
+/// The network: its sizes and all parameters in one vector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UtilityNetwork {
-    shape: UtilityShape,
-    parameters: Vec<f32>,
+    /// The sizes.
+    pub shape: UtilityShape,
+    /// All parameters, in the order of the shape's tensors.
+    pub parameters: Vec<f32>,
 }
-
-flat_network!(UtilityNetwork, UtilityShape);
 
 impl UtilityNetwork {
     /// Draws all weights and biases, see [`UtilityShape::draw`].
@@ -175,8 +175,8 @@ mod tests {
         assert_eq!(names(SKIPPING)[..9], names(SHAPE));
         assert_eq!(names(SKIPPING)[9..], ["skip.weight"]);
         let (plain, skipping) = (drawn(SHAPE), drawn(SKIPPING));
-        let (before, skip) = skipping.parameters().split_at(SHAPE.parameters());
-        assert_eq!(before, plain.parameters());
+        let (before, skip) = skipping.parameters.split_at(SHAPE.parameters());
+        assert_eq!(before, plain.parameters);
         assert_eq!(skip.len(), 16);
         assert!(skip.iter().all(|weight| weight.abs() <= 0.5));
         assert!(skip.iter().any(|weight| weight.abs() > 0.3), "{skip:?}");

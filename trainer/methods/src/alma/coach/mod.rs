@@ -10,26 +10,33 @@ mod networks;
 use sortie_envs::{Observation, members};
 use sortie_learn::LearnError;
 use sortie_nn::random::{Generator, normals};
-use sortie_nn::tape::{Places, Tape};
+use sortie_nn::tape::{Pass, Tape};
 
 use super::agents::{TaskOrder, UtilityInput};
 
 pub use gaussian::Gaussian;
-pub use networks::{
-    Coach, CoachLayers, CoachShape, Recognition, RecognitionLayers, RecognitionShape,
-};
+pub use networks::{CoachLayers, CoachShape, RecognitionLayers};
+
+/// A coach: its layers, and the parameters among which its own are.
+#[derive(Clone, Copy, Debug)]
+pub struct Coach<'a> {
+    /// The layers.
+    pub layers: CoachLayers,
+    /// All parameters.
+    pub parameters: &'a [f32],
+}
 
 /// Tells the agents of a state their strategies.
 #[derive(Debug)]
 pub struct Advice<'a> {
-    coach: &'a Coach,
+    coach: Coach<'a>,
     tape: Tape,
     input: UtilityInput,
 }
 
 impl<'a> Advice<'a> {
     /// By a coach.
-    pub fn new(coach: &'a Coach) -> Self {
+    pub fn new(coach: Coach<'a>) -> Self {
         Self { coach, tape: Tape::default(), input: UtilityInput::default() }
     }
 
@@ -43,16 +50,13 @@ impl<'a> Advice<'a> {
         seen: &Observation,
         strategies: &mut Vec<f32>,
     ) -> Result<(), LearnError> {
-        let Self { coach, tape, input } = self;
-        let (shape, tasks) = (coach.shape(), seen.tasks());
+        let (shape, tasks) = (self.coach.layers.shape, seen.tasks());
         if tasks > shape.marks {
             let known = shape.marks;
             let reason = format!("the coach knows {known} subtasks, this state has {tasks}");
             return Err(LearnError::Config(reason));
         }
-        seen_input(shape, seen, &TaskOrder::identity(tasks), input);
-        let mut t = tape.begin(coach.parameters());
-        let told = CoachLayers::of(shape, &mut Places::default()).strategies(&mut t, input);
+        let (t, told) = self.told(seen, &TaskOrder::identity(tasks));
         strategies.clear();
         strategies.extend_from_slice(t.values(told.means));
         Ok(())
@@ -66,15 +70,20 @@ impl<'a> Advice<'a> {
         generator: &mut Generator,
         strategies: &mut Vec<f32>,
     ) {
-        let Self { coach, tape, input } = self;
-        let shape = coach.shape();
-        let order = TaskOrder::shuffled(shape.marks, generator);
-        seen_input(shape, seen, &order, input);
-        let mut t = tape.begin(coach.parameters());
-        let told = CoachLayers::of(shape, &mut Places::default()).strategies(&mut t, input);
-        let drawn = told.draw(&mut t, &normals(generator, seen.agents() * shape.strategy));
+        let CoachShape { marks, strategy, .. } = self.coach.layers.shape;
+        let (mut t, told) = self.told(seen, &TaskOrder::shuffled(marks, generator));
+        let drawn = told.draw(&mut t, &normals(generator, seen.agents() * strategy));
         strategies.clear();
         strategies.extend_from_slice(t.values(drawn));
+    }
+
+    /// What the strategies of a state are drawn from.
+    fn told(&mut self, seen: &Observation, order: &TaskOrder) -> (Pass<'_>, Gaussian) {
+        let Self { coach: Coach { layers, parameters }, tape, input } = self;
+        seen_input(layers.shape, seen, order, input);
+        let mut t = tape.begin(parameters);
+        let told = layers.strategies(&mut t, input);
+        (t, told)
     }
 }
 

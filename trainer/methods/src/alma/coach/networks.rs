@@ -2,11 +2,12 @@
 //! trunk: entities embedded, agents that look at all of them.
 
 use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
-use sortie_nn::tape::{Linear, Pass, Places, Var};
+use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::gaussian::Gaussian;
-use crate::alma::agents::{TrunkLayers, UtilityInput, drawn};
+use crate::alma::agents::{TrunkLayers, UtilityInput, stacked};
 
 /// Sizes of a coach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,21 +25,40 @@ pub struct CoachShape {
 }
 
 impl CoachShape {
-    fn attention(self) -> AttentionShape {
-        AttentionShape { width: self.width, heads: self.heads }
-    }
-
-    /// Number of parameters.
-    pub fn parameters(self) -> usize {
-        let places = &mut Places::default();
-        CoachLayers::of(self, places);
-        places.end
+    /// Adds a trunk's tensors: features, marks and so many actions are layers of their own that are added up.
+    fn trunk(
+        self,
+        name: &str,
+        actions: usize,
+        p: &mut Parameters,
+        random: &mut Generator,
+    ) -> TrunkLayers {
+        let Self { features, marks, width, heads, .. } = self;
+        let mut drawn = |part: &str, rows: usize, inputs: usize| {
+            p.tensor(
+                &format!("{name}.{part}"),
+                &[rows, width],
+                1.0 / (inputs as f32).sqrt(),
+                random,
+            )
+        };
+        let weight = drawn("features", features, features);
+        drawn("marks", marks, marks);
+        drawn("actions", actions, actions);
+        let bias = Some(drawn("bias", 1, features));
+        let shape = LinearShape { input: features + marks + actions, output: width };
+        let attention = format!("{name}.attention.in");
+        let [queries, keys_values] = stacked(p, &attention, (width, [1, 2]), random);
+        let fc1 = Linear { shape, weight, bias };
+        TrunkLayers { fc1, queries, keys_values, shape: AttentionShape { width, heads } }
     }
 }
 
 /// The layers of a coach, in the order of its parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct CoachLayers {
+    /// The sizes.
+    pub shape: CoachShape,
     /// Over rows of features, then marks.
     trunk: TrunkLayers,
     out: Linear,
@@ -47,13 +67,14 @@ pub struct CoachLayers {
 }
 
 impl CoachLayers {
-    /// Those of a coach of this shape.
-    pub fn of(shape: CoachShape, places: &mut Places) -> Self {
-        let CoachShape { features, marks, width, strategy, .. } = shape;
+    /// Adds tensors, drawn uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
+    pub fn new(shape: CoachShape, p: &mut Parameters, random: &mut Generator) -> Self {
+        let CoachShape { width, strategy, .. } = shape;
         Self {
-            trunk: TrunkLayers::of(features + marks, shape.attention(), places),
-            out: places.linear(width, width),
-            head: places.linear(width, 2 * strategy),
+            shape,
+            trunk: shape.trunk("coach", 0, p, random),
+            out: p.linear("coach.out", width, width, random),
+            head: p.linear("coach.head", width, 2 * strategy, random),
         }
     }
 
@@ -73,41 +94,6 @@ fn look(t: &mut Pass<'_>, trunk: TrunkLayers, out: Linear, input: &UtilityInput)
     t.linear_rectified(attended, out)
 }
 
-/// The coach: its sizes and all parameters, in the order of its layers.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Coach {
-    shape: CoachShape,
-    parameters: Vec<f32>,
-}
-
-flat_network!(Coach, CoachShape);
-
-impl Coach {
-    /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
-    pub fn initialise(shape: CoachShape, generator: &mut Generator) -> Self {
-        let parameters = drawn(tensors(shape, 0, shape.parameters()), generator);
-        Self { shape, parameters }
-    }
-}
-
-/// Sizes of a recognition network.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RecognitionShape {
-    /// Those that it shares with the coach.
-    pub coach: CoachShape,
-    /// Actions U.
-    pub actions: usize,
-}
-
-impl RecognitionShape {
-    /// Number of parameters.
-    pub fn parameters(self) -> usize {
-        let places = &mut Places::default();
-        RecognitionLayers::of(self, places);
-        places.end
-    }
-}
-
 /// The layers of a recognition network, in the order of its parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct RecognitionLayers {
@@ -121,14 +107,24 @@ pub struct RecognitionLayers {
 }
 
 impl RecognitionLayers {
-    /// Those of a network of this shape.
-    pub fn of(shape: RecognitionShape, places: &mut Places) -> Self {
-        let CoachShape { features, marks, width, strategy, .. } = shape.coach;
-        let attention = shape.coach.attention();
-        let trunk = TrunkLayers::of(features + marks + shape.actions, attention, places);
-        let (out, hidden) = (places.linear(width, width), places.linear(width, 2 * width));
-        let last = [0, 1].map(|_| places.projection(width, strategy));
-        let last = last.map(|layer| Linear { bias: Some(places.numbers(strategy)), ..layer });
+    /// Adds tensors for players of so many actions, drawn likewise.
+    pub fn new(
+        shape: CoachShape,
+        actions: usize,
+        p: &mut Parameters,
+        random: &mut Generator,
+    ) -> Self {
+        let CoachShape { width, strategy, .. } = shape;
+        let trunk = shape.trunk("recognition", actions, p, random);
+        let out = p.linear("recognition.out", width, width, random);
+        let hidden = p.linear("recognition.hidden", width, 2 * width, random);
+        let last = [0, 1]
+            .map(|half| p.projection(&format!("recognition.last.{half}"), width, strategy, random));
+        let bound = 1.0 / (width as f32).sqrt();
+        let last = last.map(|layer| {
+            let bias = Some(p.tensor("recognition.last.bias", &[strategy], bound, random));
+            Linear { bias, ..layer }
+        });
         Self { trunk, out, hidden, last }
     }
 
@@ -143,30 +139,4 @@ impl RecognitionLayers {
         });
         Gaussian::bounded(t, halves)
     }
-}
-
-/// The recognition network: its sizes and all parameters, in the order of its layers.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Recognition {
-    shape: RecognitionShape,
-    parameters: Vec<f32>,
-}
-
-flat_network!(Recognition, RecognitionShape);
-
-impl Recognition {
-    /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
-    pub fn initialise(shape: RecognitionShape, generator: &mut Generator) -> Self {
-        let tensors = tensors(shape.coach, shape.actions, shape.parameters());
-        Self { shape, parameters: drawn(tensors, generator) }
-    }
-}
-
-/// Numbers and inputs of all tensors of a network of so many parameters: features, marks and actions are layers of their
-/// own that are added up; all others are over the width.
-fn tensors(shape: CoachShape, actions: usize, parameters: usize) -> [(usize, usize); 5] {
-    let CoachShape { features, marks, width, .. } = shape;
-    let [entities, marked, acting] = [features, marks, actions].map(|inputs| inputs * width);
-    let rest = parameters - entities - marked - acting - width;
-    [(entities, features), (marked, marks), (acting, actions), (width, features), (rest, width)]
 }

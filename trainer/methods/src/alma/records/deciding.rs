@@ -152,8 +152,8 @@ pub(super) struct Deciding {
     stand_ins: usize,
     /// Largest team that it sends to one subtask.
     team_max: usize,
-    allocator: AllocatorConfig,
-    search: TeamSearch,
+    pub(super) allocator: AllocatorConfig,
+    pub(super) search: TeamSearch,
 }
 
 impl Deciding {
@@ -173,16 +173,6 @@ impl Deciding {
             allocator,
             search,
         }
-    }
-
-    /// Floating-point operations of the searches up to now.
-    pub(super) fn operations(&self) -> u64 {
-        self.search.operations()
-    }
-
-    /// Discount of the allocator's rewards per environment step.
-    pub(super) fn discount(&self) -> f32 {
-        self.allocator.discount
     }
 
     /// Decides if it is time to; returns whether it was.

@@ -12,15 +12,15 @@ use rand_core::SeedableRng;
 use sortie_envs::random::below;
 use sortie_envs::{ActionSet, EntitySet, Environment, Observation, Random, Spec, members};
 use sortie_learn::learner::{Loss, Shard};
-use sortie_learn::networks::{Hypernetworks, LookShape, Mixer, MixerShape, WeightsSum};
+use sortie_learn::networks::{Hypernetworks, LookShape, Mixer, MixerShape, WeightsSum, best};
 use sortie_learn::trajectory::Place;
 use sortie_nn::random::Generator;
-use sortie_nn::tape::{Parameters, Pass, Places, Var};
+use sortie_nn::tape::{Parameters, Pass, Var};
 
 use super::config::Config;
 use super::replay::{Moment, Replay, Sample};
 use crate::alma::agents::{
-    Columns, Conditioning, NO_ACTION, TeamBatch, UtilityLayers, UtilityShape, best_action,
+    Columns, Conditioning, NO_ACTION, TeamBatch, UtilityLayers, UtilityShape,
 };
 
 /// Samples of a shard: few enough for their activations to stay in cache.
@@ -93,7 +93,7 @@ impl Networks {
             shape,
             conditioning: config.network.subtask,
             reward_factor: config.mixer.reward_factor(),
-            agents: UtilityLayers::of(shape, &mut Places::default()),
+            agents: UtilityLayers::of(shape),
             mixer,
         };
         (networks, parameters)
@@ -136,8 +136,7 @@ impl Networks {
         let utilities = self.agents.utilities(&mut pass, next.batch.input());
         let agents = pass.values(utilities).chunks_exact(self.shape.actions).zip(available);
         next.actions.clear();
-        next.actions
-            .extend(agents.map(|(utilities, open)| u32::from(best_action(utilities, *open))));
+        next.actions.extend(agents.map(|(utilities, open)| best(utilities, *open) as u32));
         *operations += pass.operations(false);
         let mut pass = spare.begin(target);
         let utilities = self.agents.utilities(&mut pass, next.batch.input());

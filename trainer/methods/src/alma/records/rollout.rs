@@ -1,8 +1,9 @@
 //! Acting while learning: episodes in many instances, explored, and what is kept of them.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::random::chance;
+use sortie_envs::random::{chance, member};
 use sortie_envs::{EntitySet, Observation, Spec, UNASSIGNED};
+use sortie_learn::networks::best;
 use sortie_learn::subtasks::AllocatedScene;
 use sortie_learn::{LearnError, Scenes, State, Transition};
 use sortie_nn::random::Generator;
@@ -11,7 +12,7 @@ use super::config::Config;
 use super::deciding::{Deciding, Decisions, Reached};
 use super::replay::{Moment, Replay, Taken};
 use super::team_value::Segments;
-use crate::alma::agents::{Conditioning, NO_ACTION, UtilityView, best_action, random_action};
+use crate::alma::agents::{Conditioning, NO_ACTION, UtilityView};
 use crate::alma::teams::{Agents, Players};
 
 /// What an instance remembers between steps.
@@ -70,7 +71,7 @@ impl Rollout {
 
     /// Floating-point operations up to now, those of passes.
     pub fn operations(&self) -> u64 {
-        self.players.operations() + self.deciding.operations()
+        self.players.operations + self.deciding.search.operations()
     }
 
     /// An instance is about to start an episode.
@@ -140,11 +141,11 @@ impl Rollout {
             let explore = behaviour.epsilon * spread[world % spread.len()];
             let (available, generator) = (seen.available[agent], &mut random[world]);
             let action = if chance(generator, explore.into()) {
-                random_action(available, generator)
+                member(generator, available.into()).unwrap_or(0)
             } else {
-                best_action(utilities, available)
+                best(utilities, available)
             };
-            actions[place * slots + agent] = action.into();
+            actions[place * slots + agent] = action as u16;
         })
     }
 
@@ -166,7 +167,7 @@ impl Rollout {
         replay.push(Taken { transition, seen, open_then, moment, before });
         before.clone_from(&decisions.allocation);
         last_actions.copy_from_slice(&did);
-        decisions.remember(transition, self.deciding.discount(), segments);
+        decisions.remember(transition, self.deciding.allocator.discount, segments);
     }
 
     /// Names what the instances remember.

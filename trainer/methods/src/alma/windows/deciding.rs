@@ -8,15 +8,16 @@ use sortie_learn::subtasks::Allocate;
 use sortie_nn::random::Generator;
 
 use super::NO_TASK;
-use super::allocation::{AllocationNetworks, Decided, Decider, Noise, States, TaskColumns};
+use super::allocation::{AllocationNetworks, Decider, Noise, States, TaskColumns};
 use super::config::Exploration;
 
-/// Proposes allocations and takes the one that the critic values most.
+/// Proposes allocations and takes the one that the critic values most; while learning other decisions are tried out.
 #[derive(Debug)]
 pub struct ProposalAllocator<'a> {
     networks: AllocationNetworks<'a>,
     proposals: usize,
     greedy_first: bool,
+    exploration: Option<Exploration>,
     decider: Decider,
     seen: Observation,
 }
@@ -28,6 +29,7 @@ impl<'a> ProposalAllocator<'a> {
             networks,
             proposals,
             greedy_first: false,
+            exploration: None,
             decider: Decider::default(),
             seen: Observation::default(),
         }
@@ -38,28 +40,9 @@ impl<'a> ProposalAllocator<'a> {
         Self { greedy_first: true, ..self }
     }
 
-    /// Decides in a state where `last` `[A]` was in force before. `None` shuffles the task columns.
-    fn propose(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        last: &[u8],
-        columns: Option<TaskColumns>,
-        generator: &mut Generator,
-    ) -> Result<Decided, LearnError> {
-        let Self { seen, .. } = self;
-        environment.observe(state, 0, EntitySet::MAX, seen);
-        let (agents, tasks) = (last.len(), seen.tasks());
-        let known = self.networks.policy.shape().columns;
-        if tasks > known {
-            let reason = format!("the allocator knows {known} subtasks, this state has {tasks}");
-            return Err(LearnError::Config(reason));
-        }
-        let mut states = States::new(agents, seen.entity_task.len(), tasks);
-        states.push_seen(seen, last);
-        let columns = columns.unwrap_or_else(|| TaskColumns::shuffled(tasks, known, generator));
-        let noise = Noise::Seeded { seed: generator.next_u64(), greedy_first: self.greedy_first };
-        Ok(self.decider.decide(self.networks, &states, &columns, (self.proposals, noise)))
+    /// The same that tries out so much, and whose task columns are shuffled.
+    pub fn exploring(self, exploration: Exploration) -> Self {
+        Self { exploration: Some(exploration), ..self }
     }
 }
 
@@ -71,55 +54,43 @@ impl Allocate for ProposalAllocator<'_> {
         generator: &mut Generator,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        environment.observe(state, 0, 0, &mut self.seen);
-        let columns = TaskColumns::in_order(self.seen.tasks());
-        let decided = self.propose(environment, state, allocation, Some(columns), generator)?;
+        let Self { networks, proposals, greedy_first, exploration, decider, seen } = self;
+        environment.observe(state, 0, EntitySet::MAX, seen);
+        let (agents, tasks) = (allocation.len(), seen.tasks());
+        let known = networks.policy.shape.columns;
+        if tasks > known {
+            let reason = format!("the allocator knows {known} subtasks, this state has {tasks}");
+            return Err(LearnError::Config(reason));
+        }
+        let mut states = States::new(agents, seen.entity_task.len(), tasks);
+        states.push_seen(seen, allocation);
+        let columns = match exploration {
+            Some(_) => TaskColumns::shuffled(tasks, known, generator),
+            None => TaskColumns::in_order(tasks),
+        };
+        let noise = Noise::Seeded { seed: generator.next_u64(), greedy_first: *greedy_first };
+        let decided = decider.decide(*networks, &states, &columns, (*proposals, noise));
         allocation.copy_from_slice(&decided.best);
+        let Some(Exploration { proposal, allocation: anywhere, .. }) = *exploration else {
+            return Ok(());
+        };
+        if chance(generator, proposal.into()) {
+            allocation.copy_from_slice(&decided.first);
+        }
+        for task in &mut allocation[..seen.agents()] {
+            if seen.open_tasks != 0
+                && chance(generator, anywhere.into())
+                && let Some(drawn) = member(generator, seen.open_tasks.into())
+            {
+                *task = drawn as u8;
+            }
+        }
         Ok(())
     }
 
     fn choose_among(&mut self, proposals: usize) -> bool {
         self.proposals = proposals;
         true
-    }
-}
-
-/// The same while learning, when other decisions are tried out.
-#[derive(Debug)]
-pub struct ExploringAllocator<'a> {
-    allocator: ProposalAllocator<'a>,
-    exploration: Exploration,
-}
-
-impl<'a> ProposalAllocator<'a> {
-    /// The same that tries out so much, and whose task columns are shuffled.
-    pub fn exploring(self, exploration: Exploration) -> ExploringAllocator<'a> {
-        ExploringAllocator { allocator: self, exploration }
-    }
-}
-
-impl Allocate for ExploringAllocator<'_> {
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        generator: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
-        let Self { allocator, exploration } = self;
-        let decided = allocator.propose(environment, state, allocation, None, generator)?;
-        let first = chance(generator, exploration.proposal.into());
-        allocation.copy_from_slice(if first { &decided.first } else { &decided.best });
-        let (open, agents) = (allocator.seen.open_tasks, allocator.seen.agents());
-        for task in &mut allocation[..agents] {
-            if open != 0
-                && chance(generator, exploration.allocation.into())
-                && let Some(drawn) = member(generator, open.into())
-            {
-                *task = drawn as u8;
-            }
-        }
-        Ok(())
     }
 }
 
@@ -130,9 +101,7 @@ const _: () = assert!(NO_TASK == UNASSIGNED);
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::windows::allocation::{
-        AllocationCritic, AllocationPolicy, AllocationShape, StateView,
-    };
+    use crate::alma::windows::allocation::{AllocationCritic, AllocationPolicy, AllocationShape};
     use crate::alma::windows::{
         Episode, Moment, Replay, SampleShape, Shaping, Windows, cut_windows,
     };
@@ -183,14 +152,7 @@ mod tests {
             let sizes = windows.shape;
             let last: Vec<u8> = (0..sizes.agents).map(|agent| (agent % 2) as u8).collect();
             let mut states = States::new(sizes.agents, sizes.entities, sizes.tasks);
-            states.push(StateView {
-                features: &windows.features,
-                first_row: 0,
-                present: &windows.present,
-                entity_task: &windows.entity_task,
-                open: &windows.open,
-                last_allocation: &last,
-            });
+            states.push(&windows, 0, &last);
             let noise = Noise::Seeded { seed: draws(number).next_u64(), greedy_first: false };
             let columns = TaskColumns::in_order(sizes.tasks);
             let want = Decider::default().decide(networks, &states, &columns, (8, noise));

@@ -5,9 +5,13 @@
 //! every agent, with the embedding of the subtask that was chosen taken over in between. Counts are raw, the graphs
 //! scale them; the order of the subtasks is the identity.
 
-use super::allocation::{AllocationShape, CriticWeights, PolicyWeights};
-use sortie_learn::export::attention::{ExportError, axis, check};
+use sortie_learn::export::attention::{
+    ExportError, Layer, Layout, Matrix, axis, inputs_first, layer,
+};
 use sortie_learn::export::onnx::{Attribute, Dim, Element, Graph};
+use sortie_nn::tape::Parameters;
+
+use super::allocation::{AllocationCritic, AllocationPolicy, AllocationShape};
 
 /// What the networks make of one more entity in a subtask.
 const COUNT_SCALE: f32 = 0.2;
@@ -30,10 +34,10 @@ pub struct ProposalGraphs {
 /// Writes the policy and the critic as ONNX. `contract` is the hash of the contract that they were trained for.
 ///
 /// # Errors
-/// A tensor has another size than the shape says, or a number that is not finite.
+/// The heads do not divide the width, or a number is not finite.
 pub fn export_proposals(
-    policy: &PolicyWeights,
-    critic: &CriticWeights,
+    policy: &AllocationPolicy,
+    critic: &AllocationCritic,
     contract: u64,
 ) -> Result<ProposalGraphs, ExportError> {
     for AllocationShape { width, heads, .. } in [policy.shape, critic.shape] {
@@ -48,19 +52,18 @@ pub fn export_proposals(
     })
 }
 
-fn trunk(policy: &PolicyWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
+fn trunk(policy: &AllocationPolicy, contract: u64) -> Result<Vec<u8>, ExportError> {
     let AllocationShape { columns, width, .. } = policy.shape;
     let (n, e, t) = (Dim::Symbol("N"), Dim::Fixed(width), Dim::Fixed(columns));
-    let mut writer = Writer::of_entities(policy.shape, "agents: their last subtask");
+    let mut writer = Writer::new(policy.shape, &policy.parameters);
+    writer.add_entities("agents: their last subtask");
     let graph = &mut writer.graph;
     graph.output("embedding", Element::Float, &[n, e], "Every entity, before any ReLU.");
     graph.output("task_embedding", Element::Float, &[t, e], "Every subtask, nobody in it.");
     let doc = "Entities of every subtask that are no agents.";
     graph.output("task_count", Element::Float, &[t], doc);
 
-    let (weight, bias) = (&policy.entity_weight, &policy.entity_bias);
-    let features = writer.layer("fc1", "entities", weight, bias)?;
-    let task = writer.product("task", "entity_task", &policy.task_weight, columns)?;
+    let (features, task) = writer.embed("entity_task")?;
     let embedding = writer.graph.node("embedding", "Add", &[&features, &task], &[]);
     let active = writer.graph.node("active", "Relu", &[&embedding], &[]);
     // What is no agent is placed in its subtasks; who is present answers there.
@@ -75,24 +78,19 @@ fn trunk(policy: &PolicyWeights, contract: u64) -> Result<Vec<u8>, ExportError> 
     let zero = writer.graph.floats("zero", &[], &[0.0]).to_owned();
     let together = writer.graph.node("together", "Greater", &[&shared, &zero], &[]);
     let visible = writer.graph.node("visible", "And", &[&together, &answers], &[]);
-    let weights = AttentionWeights {
-        packed: &policy.attention_in_weight,
-        out: &policy.attention_out_weight,
-        bias: &policy.attention_out_bias,
-    };
-    let attended = writer.attention(&active, &visible, policy.shape, weights)?;
+    let attended = writer.attention(&active, &visible)?;
     let answering = writer.column("answers", "answers");
     let shown = writer.graph.node("shown", "Where", &[&answering, &attended, &zero], &[]);
     writer.graph.node("task_embedding", "MatMul", &[&by_task, &shown], &[]);
     writer.sum("task_count", &placed, 0, false);
     let doc = "Embeds entities and subtasks once for all proposals.";
-    Ok(writer.finish("allocator_trunk", "proposals-trunk", doc, policy.shape, contract))
+    Ok(writer.finish("allocator_trunk", "proposals-trunk", doc, contract))
 }
 
-fn step(policy: &PolicyWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
-    let shape @ AllocationShape { columns, width, .. } = policy.shape;
+fn step(policy: &AllocationPolicy, contract: u64) -> Result<Vec<u8>, ExportError> {
+    let AllocationShape { columns, width, .. } = policy.shape;
     let (e, t) = (Dim::Fixed(width), Dim::Fixed(columns));
-    let mut writer = Writer::default();
+    let mut writer = Writer::new(policy.shape, &policy.parameters);
     let graph = &mut writer.graph;
     let doc = "The row of `embedding` of the agent that chooses.";
     graph.input("agent_embedding", Element::Float, &[e], doc);
@@ -106,7 +104,7 @@ fn step(policy: &PolicyWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
     graph.output("task_embedding_if_chosen", Element::Float, &[t, e], doc);
 
     let counts = writer.counts(["task_count", "agent_count"], COUNT_SCALE);
-    let counted = writer.layer("count", &counts, &policy.count_weight, &policy.count_bias)?;
+    let counted = writer.layer("count", &counts, "count", Layout::InputsFirst, 2)?;
     let sizes = writer.graph.node("sized", "Add", &["task_embedding", &counted], &[]);
     let agent = writer.column("agent", "agent_embedding");
     let pointed = writer.graph.node("pointed", "MatMul", &[&sizes, &agent], &[]);
@@ -117,34 +115,24 @@ fn step(policy: &PolicyWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
     let logits = writer.graph.node("logits", "Mul", &[&pointed, &scale], &[]);
     writer.log_softmax(&logits);
 
-    let (task, agent) = halves(policy)?;
     let active = writer.graph.node("task.active", "Relu", &["task_embedding"], &[]);
-    let from_task = writer.product("from_task", &active, &task, width)?;
+    let task = writer.tensor("update.task.weight");
+    let from_task = writer.product("from_task", &active, task, Layout::OutputsFirst, width)?;
     let active = writer.graph.node("agent.active", "Relu", &["agent_embedding"], &[]);
     let row = writer.graph.integers("row", &[1, width as i64]).to_owned();
     let active = writer.graph.node("agent.row", "Reshape", &[&active, &row], &[]);
-    let from_agent = writer.layer("from_agent", &active, &agent, &policy.update_bias)?;
+    let layout = Layout::OutputsFirst;
+    let from_agent = writer.layer("from_agent", &active, "update.agent", layout, width)?;
     let change = writer.graph.node("change", "Add", &[&from_task, &from_agent], &[]);
     let name = "task_embedding_if_chosen";
     writer.graph.node(name, "Add", &["task_embedding", &change], &[]);
     let doc = "One agent's choice, and what it changes.";
-    Ok(writer.finish("allocator_step", "proposals-step", doc, shape, contract))
+    Ok(writer.finish("allocator_step", "proposals-step", doc, contract))
 }
 
-/// The columns of the update that belong to the subtask, and to the agent.
-fn halves(policy: &PolicyWeights) -> Result<(Vec<f32>, Vec<f32>), ExportError> {
-    let width = policy.shape.width;
-    check("update.weight", &policy.update_weight, 2 * width * width)?;
-    let half = |first: usize| {
-        let rows = policy.update_weight.chunks(2 * width);
-        rows.flat_map(|row| row.iter().skip(first).take(width)).copied().collect()
-    };
-    Ok((half(0), half(width)))
-}
-
-fn critic_graph(critic: &CriticWeights, contract: u64) -> Result<Vec<u8>, ExportError> {
-    let shape @ AllocationShape { columns, .. } = critic.shape;
-    let mut writer = Writer::of_entities(shape, "agents: the proposal");
+fn critic_graph(critic: &AllocationCritic, contract: u64) -> Result<Vec<u8>, ExportError> {
+    let mut writer = Writer::new(critic.shape, &critic.parameters);
+    writer.add_entities("agents: the proposal");
     let doc = "What the allocation is worth.";
     writer.graph.output("value", Element::Float, &[Dim::Fixed(1)], doc);
     let zero = writer.graph.floats("zero", &[], &[0.0]).to_owned();
@@ -161,23 +149,16 @@ fn critic_graph(critic: &CriticWeights, contract: u64) -> Result<Vec<u8>, Export
     let agents = of_kind("placed_agents", "is_agent");
     let others = of_kind("placed_others", "others");
     let counts = writer.counts([&agents, &others], 1.0);
-    let counted = writer.layer("count", &counts, &critic.count_weight, &critic.count_bias)?;
+    let counted = writer.layer("count", &counts, "count", Layout::InputsFirst, 2)?;
     let scale = writer.graph.floats("count.scale", &[], &[COUNT_SCALE]).to_owned();
     let counted = writer.graph.node("counted", "Mul", &[&counted, &scale], &[]);
 
-    let (weight, bias) = (&critic.entity_weight, &critic.entity_bias);
-    let features = writer.layer("fc1", "entities", weight, bias)?;
-    let task = writer.product("task", &placed, &critic.task_weight, columns)?;
+    let (features, task) = writer.embed(&placed)?;
     let count = writer.graph.node("counted.rows", "MatMul", &[&placed, &counted], &[]);
     let sum = writer.graph.node("features.task", "Add", &[&features, &task], &[]);
     let sum = writer.graph.node("rows", "Add", &[&sum, &count], &[]);
     let active = writer.graph.node("active", "Relu", &[&sum], &[]);
-    let weights = AttentionWeights {
-        packed: &critic.attention_in_weight,
-        out: &critic.attention_out_weight,
-        bias: &critic.attention_out_bias,
-    };
-    let attended = writer.attention(&active, "present", shape, weights)?;
+    let attended = writer.attention(&active, "present")?;
     let attended = writer.graph.node("attended.relu", "Relu", &[&attended], &[]);
     let answers = writer.graph.node("answers", "And", &["present", "is_agent"], &[]);
     let answering = writer.column("answers", &answers);
@@ -188,88 +169,94 @@ fn critic_graph(critic: &CriticWeights, contract: u64) -> Result<Vec<u8>, Export
     let one = writer.graph.floats("mean.one", &[], &[1.0]).to_owned();
     let count = writer.graph.node("mean.divisor", "Max", &[&count, &one], &[]);
     let mean = writer.graph.node("mean", "Div", &[&sum, &count], &[]);
-    let (weight, bias) = head(critic)?;
-    let value = writer.layer("head", &mean, &weight, &bias)?;
+    let value = writer.add_head(critic, &mean)?;
     let flat = writer.graph.integers("value.shape", &[1]).to_owned();
     writer.graph.node("value", "Reshape", &[&value, &flat], &[]);
     let doc = "The value of a whole allocation, in the units of returns.";
-    Ok(writer.finish("allocator_critic", "proposals-critic", doc, shape, contract))
-}
-
-/// The last layer with what the normalisation of targets makes of its value.
-fn head(critic: &CriticWeights) -> Result<(Vec<f32>, [f32; 1]), ExportError> {
-    let CriticWeights { popart_weight, popart_bias, mean, deviation, .. } = *critic;
-    check("head.weight", &critic.value_weight, critic.shape.width)?;
-    check("head.bias", &critic.value_bias, 1)?;
-    let factor = popart_weight * deviation;
-    let weight = critic.value_weight.iter().map(|weight| weight * factor).collect();
-    let bias = critic.value_bias.iter().sum::<f32>() * factor + popart_bias * deviation + mean;
-    Ok((weight, [bias]))
-}
-
-/// Tensors of attention, as they are packed.
-#[derive(Clone, Copy)]
-struct AttentionWeights<'a> {
-    /// `[3 E, E]`
-    packed: &'a [f32],
-    /// `[E, E]`
-    out: &'a [f32],
-    /// `[E]`
-    bias: &'a [f32],
+    Ok(writer.finish("allocator_critic", "proposals-critic", doc, contract))
 }
 
 /// A graph that is written.
-#[derive(Default)]
-struct Writer {
+struct Writer<'a> {
     graph: Graph,
+    shape: AllocationShape,
+    parameters: &'a Parameters,
 }
 
-impl Writer {
-    /// A graph over all entities.
-    fn of_entities(shape: AllocationShape, agents: &str) -> Self {
-        let mut graph = Graph::default();
-        let (n, t) = (Dim::Symbol("N"), Dim::Fixed(shape.columns));
-        let rows = [n, Dim::Fixed(shape.features)];
+impl<'a> Writer<'a> {
+    fn new(shape: AllocationShape, parameters: &'a Parameters) -> Self {
+        Self { graph: Graph::default(), shape, parameters }
+    }
+
+    /// Declares all entities.
+    fn add_entities(&mut self, agents: &str) {
+        let (n, t) = (Dim::Symbol("N"), Dim::Fixed(self.shape.columns));
+        let rows = [n, Dim::Fixed(self.shape.features)];
+        let graph = &mut self.graph;
         graph.input("entities", Element::Float, &rows, "Features of every entity.");
         let doc = format!("1 where the entity belongs to the subtask; {agents}.");
         graph.input("entity_task", Element::Float, &[n, t], &doc);
         graph.input("present", Element::Bool, &[n], "True where the entity exists.");
         graph.input("is_agent", Element::Bool, &[n], "True for agents, present or not.");
-        Self { graph }
     }
 
-    /// `input Wᵀ` of a matrix `[out, inputs]`.
+    /// A tensor of the network by its name.
+    fn tensor(&self, name: &str) -> &'a [f32] {
+        let tensor = self.parameters.tensors().iter().find(|tensor| tensor.name == name);
+        tensor.map_or(&[], |tensor| &self.parameters.values[tensor.range.clone()])
+    }
+
+    /// What the embedding makes of features, and of these subtasks.
+    fn embed(&mut self, tasks: &str) -> Result<(String, String), ExportError> {
+        let AllocationShape { features, columns, .. } = self.shape;
+        let layout = Layout::InputsFirst;
+        let of_features = self.layer("fc1", "entities", "entity", layout, features)?;
+        let of_task = self.tensor("task.weight");
+        Ok((of_features, self.product("task", tasks, of_task, layout, columns)?))
+    }
+
+    /// `input W` of a matrix with so many inputs and as many outputs as the networks are wide.
     fn product(
         &mut self,
         name: &'static str,
         input: &str,
-        weight: &[f32],
+        values: &[f32],
+        layout: Layout,
         inputs: usize,
     ) -> Result<String, ExportError> {
-        let outputs = weight.len() / inputs.max(1);
-        check(name, weight, inputs * outputs)?;
-        let turned = (0..inputs).flat_map(|input| weight.iter().skip(input).step_by(inputs));
-        let turned: Vec<f32> = turned.copied().collect();
+        let sizes = [inputs, self.shape.width];
+        let values = inputs_first(name, &Matrix { values, layout }, sizes)?;
         let weight = format!("{name}.weight");
-        self.graph.floats(&weight, &[inputs, outputs], &turned);
+        self.graph.floats(&weight, &sizes, &values);
         Ok(self.graph.node(&format!("{name}.product"), "MatMul", &[input, &weight], &[]))
     }
 
-    /// `input Wᵀ + b`.
+    /// `input W + b` of such a layer, by its name in the network.
     fn layer(
         &mut self,
         name: &'static str,
         input: &str,
-        weight: &[f32],
-        bias: &[f32],
+        of: &str,
+        layout: Layout,
+        inputs: usize,
     ) -> Result<String, ExportError> {
-        let inputs = weight.len() / bias.len().max(1);
-        check(name, weight, inputs * bias.len())?;
-        check(name, bias, bias.len())?;
-        let product = self.product(name, input, weight, inputs)?;
-        let name_of_bias = format!("{name}.bias");
-        self.graph.floats(&name_of_bias, &[bias.len()], bias);
-        Ok(self.graph.node(name, "Add", &[&product, &name_of_bias], &[]))
+        let [values, bias] = ["weight", "bias"].map(|part| self.tensor(&format!("{of}.{part}")));
+        let own = Layer { weight: Matrix { values, layout }, bias };
+        layer(&mut self.graph, name, input, &own, [inputs, self.shape.width])
+    }
+
+    /// The last layer with what the normalisation of targets makes of its value.
+    fn add_head(&mut self, critic: &AllocationCritic, input: &str) -> Result<String, ExportError> {
+        let ([popart_weight, popart_bias], popart) = (critic.head(), critic.popart);
+        let (mean, deviation) = (popart.mean as f32, popart.variance.sqrt() as f32);
+        let factor = popart_weight * deviation;
+        let scaled = |name: &str| self.tensor(name).iter().map(|number| number * factor);
+        let weight: Vec<f32> = scaled("value.weight").collect();
+        let shift = popart_bias * deviation;
+        let bias: Vec<f32> = scaled("value.bias").map(|bias| bias + shift + mean).collect();
+        let weight = Matrix { values: &weight, layout: Layout::OutputsFirst };
+        let own = Layer { weight, bias: &bias };
+        layer(&mut self.graph, "head", input, &own, [self.shape.width, 1])
     }
 
     /// A mask as numbers.
@@ -324,20 +311,15 @@ impl Writer {
     }
 
     /// Attention of every row to those that `visible` shows it.
-    fn attention(
-        &mut self,
-        rows: &str,
-        visible: &str,
-        AllocationShape { width, heads, .. }: AllocationShape,
-        AttentionWeights { packed, out, bias }: AttentionWeights<'_>,
-    ) -> Result<String, ExportError> {
-        check("attention.in", packed, 3 * width * width)?;
-        check("attention.out", bias, width)?;
-        let mut parts = packed.chunks(width * width);
-        let mut next = || parts.next().unwrap_or_default();
-        let query = self.product("attention.query", rows, next(), width)?;
-        let key = self.product("attention.key", rows, next(), width)?;
-        let value = self.product("attention.value", rows, next(), width)?;
+    fn attention(&mut self, rows: &str, visible: &str) -> Result<String, ExportError> {
+        let AllocationShape { width, heads, .. } = self.shape;
+        let mut parts = self.tensor("attention.in.weight").chunks(width * width);
+        let mut project = |name: &'static str| {
+            let own = parts.next().unwrap_or_default();
+            self.product(name, rows, own, Layout::OutputsFirst, width)
+        };
+        let (query, key) = (project("attention.query")?, project("attention.key")?);
+        let value = project("attention.value")?;
         let graph = &mut self.graph;
         graph.integers("attention.split", &[0, heads as i64, (width / heads) as i64]);
         let mut by_heads = |input: &str, order: &[i64]| {
@@ -366,17 +348,12 @@ impl Writer {
         graph.integers("attention.join", &[0, width as i64]);
         let joined = ["attention.mixed.ordered", "attention.join"];
         graph.node("attention.joined", "Reshape", &joined, &[]);
-        self.layer("attention.out", "attention.joined", out, bias)
+        let (name, layout) = ("attention.out", Layout::OutputsFirst);
+        self.layer(name, "attention.joined", name, layout, width)
     }
 
-    fn finish(
-        self,
-        name: &str,
-        kind: &str,
-        doc: &str,
-        shape: AllocationShape,
-        contract: u64,
-    ) -> Vec<u8> {
+    fn finish(self, name: &str, kind: &str, doc: &str, contract: u64) -> Vec<u8> {
+        let Self { graph, shape, .. } = self;
         let metadata = [
             ("sortie.graph", kind.to_owned()),
             ("sortie.format", "1".to_owned()),
@@ -384,7 +361,7 @@ impl Writer {
             ("sortie.features", shape.features.to_string()),
             ("sortie.tasks", shape.columns.to_string()),
         ];
-        self.graph.into_model(name, doc, &metadata)
+        graph.into_model(name, doc, &metadata)
     }
 }
 

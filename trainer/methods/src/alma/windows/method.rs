@@ -1,5 +1,6 @@
 //! Learning from windows as a [`Method`]: rounds of episodes, and as many updates of both levels.
 
+use std::ops::Range;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -14,15 +15,13 @@ use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 
 use super::WindowShape;
-use super::allocation::{AllocationLevel, AllocationNetworks, AllocationState};
+use super::allocation::{AllocationLevel, AllocationNetworks};
 use super::config::Config;
 use super::deciding::ProposalAllocator;
 use super::export::{ProposalGraphs, export_proposals};
 use super::low_level::LowLevel;
-use super::low_level::coaching::Coaching;
 use super::rollout::{Behaviour, Rollout};
 use super::sampling::{Replay, SampleShape, Shaping, cut_windows, draw_episodes};
-use crate::alma::agents::UtilityNetwork;
 use crate::alma::export;
 use crate::alma::learned::Learned;
 use crate::alma::records::config::ReturnsConfig;
@@ -65,7 +64,7 @@ impl WindowLearner {
         let mut weights = generator(seed, Purpose::Weights, 0);
         let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
         if config.coach.enabled {
-            low_level.add_coach(config.coach.clone(), &mut weights);
+            low_level.add_coach(&config.coach, &mut weights);
         }
         let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
         Self {
@@ -145,7 +144,7 @@ impl WindowLearner {
             let proposing = ProposalAllocator::new(networks, allocation.proposals).greedy_first();
             let write = move |contract| {
                 let AllocationNetworks { policy, critic } = networks;
-                let graphs = export_proposals(&policy.weights(), &critic.weights(), contract);
+                let graphs = export_proposals(policy, critic, contract);
                 graphs.map(|ProposalGraphs { trunk, step, critic }| [trunk, step, critic])
             };
             LearnedAllocator {
@@ -261,7 +260,7 @@ impl Method for WindowLearner {
                  (dissertation section 7.2).\n\n"
             }
         };
-        let mut departures = export::skips(self.low_level.online.agents.shape(), None);
+        let mut departures = export::skips(self.low_level.shape(), None);
         departures += if departures.is_empty() { "- Nowhere but in" } else { "- In" };
         departures += " the sampled windows: none learns a step from one episode to the next.\n";
         export::words(allocator.to_owned(), departures)
@@ -274,16 +273,18 @@ impl Method for WindowLearner {
     /// Begins with the agents of another run, of any preset.
     fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
         let learned = Learned::open(folder, &self.spec)?;
-        let LowLevel { online, target, .. } = &mut self.low_level;
-        let shape = |agents: &UtilityNetwork, unit: &[f32]| (agents.shape(), unit.len());
-        if shape(&learned.network, &learned.memory_unit) != shape(&online.agents, &online.gru) {
-            let hint =
-                online.agents.shape().hint_to_become(learned.network.shape(), "low_level.skip");
+        let (shape, memory) = (self.low_level.shape(), self.low_level.part("memory"));
+        let Learned { network, memory_unit, .. } = &learned;
+        if (network.shape, memory_unit.len()) != (shape, memory.len()) {
+            let hint = shape.hint_to_become(network.shape, "low_level.skip");
             let reason = format!("`run.from` has agents of another shape{hint}");
             return Err(LearnError::Config(reason));
         }
-        (target.agents, target.gru) = (learned.network.clone(), learned.memory_unit.clone());
-        (online.agents, online.gru) = (learned.network, learned.memory_unit);
+        let LowLevel { online, target, .. } = &mut self.low_level;
+        for values in [&mut online.values, target] {
+            values[..network.parameters.len()].copy_from_slice(&network.parameters);
+            values[memory.clone()].copy_from_slice(memory_unit);
+        }
         Ok(())
     }
 
@@ -299,50 +300,52 @@ impl Method for WindowLearner {
     }
 }
 
-/// Names the networks of agents, mixer and coach with their optimisers.
+/// Names the networks of agents, mixer and coach with what the optimiser keeps.
 fn low_level_state(level: &mut LowLevel, state: &mut State<'_>) -> Result<(), LearnError> {
-    let LowLevel { online, target, optimisers: [agents, memory, mixer], coaching, .. } = level;
-    let tensors = online.agents.shape().tensors();
-    for (name, networks) in [("online", online), ("target", target)] {
-        state.tensors(&format!("agents/{name}"), &tensors, networks.agents.parameters_mut())?;
-        state.vector(&format!("mixer/{name}"), networks.mixer.parameters_mut())?;
-        if !networks.gru.is_empty() {
-            state.vector(&format!("memory/{name}"), &mut networks.gru)?;
-        }
-        state.value(&format!("mixer/{name}-statistics"), &mut networks.popart)?;
+    let tensors = level.shape().tensors();
+    let [memory, mixer, coach, recognition] =
+        ["memory", "mixer", "coach", "recognition"].map(|name| level.part(name));
+    let LowLevel { online, target, optimiser, popart, target_popart, .. } = level;
+    let (online, square) = (&mut online.values, &mut optimiser.square);
+    for (name, values, popart) in
+        [("online", &mut *online, popart), ("target", &mut *target, target_popart)]
+    {
+        state.tensors(&format!("agents/{name}"), &tensors, values)?;
+        visit_part(state, &format!("mixer/{name}"), values, &mixer)?;
+        visit_part(state, &format!("memory/{name}"), values, &memory)?;
+        state.value(&format!("mixer/{name}-statistics"), popart)?;
     }
-    state.tensors("agents/square", &tensors, &mut agents.square)?;
-    state.vector("mixer/square", &mut mixer.square)?;
-    if !memory.square.is_empty() {
-        state.vector("memory/square", &mut memory.square)?;
-    }
-    let Some(coaching) = coaching else { return Ok(()) };
-    let Coaching { online, target, recognition, optimisers: [of_coach, of_recognition], .. } =
-        coaching;
-    state.vector("coach/online", online.parameters_mut())?;
-    state.vector("coach/target", target.parameters_mut())?;
-    state.vector("coach/square", &mut of_coach.square)?;
-    state.vector("recognition/online", recognition.parameters_mut())?;
-    state.vector("recognition/square", &mut of_recognition.square)
+    state.tensors("agents/square", &tensors, square)?;
+    visit_part(state, "mixer/square", square, &mixer)?;
+    visit_part(state, "memory/square", square, &memory)?;
+    visit_part(state, "coach/online", online, &coach)?;
+    visit_part(state, "coach/target", target, &coach)?;
+    visit_part(state, "coach/square", square, &coach)?;
+    visit_part(state, "recognition/online", online, &recognition)?;
+    visit_part(state, "recognition/square", square, &recognition)
+}
+
+/// Names a part of a vector, if there is one.
+fn visit_part(
+    state: &mut State<'_>,
+    name: &str,
+    values: &mut [f32],
+    part: &Range<usize>,
+) -> Result<(), LearnError> {
+    if part.is_empty() { Ok(()) } else { state.vector(name, &mut values[part.clone()]) }
 }
 
 /// The same of critic and policy.
 fn allocation_state(level: &mut AllocationLevel, state: &mut State<'_>) -> Result<(), LearnError> {
-    let mut own = level.state();
-    let AllocationState { critic, target, policy, critic_square, policy_square, .. } = &mut own;
-    state.vector("critic/online", critic)?;
-    state.vector("critic/target", target)?;
-    state.vector("critic/square", critic_square)?;
-    state.vector("policy/online", policy)?;
-    state.vector("policy/square", policy_square)?;
-    state.value("critic/online-statistics", &mut own.popart)?;
-    state.value("critic/target-statistics", &mut own.target_popart)?;
-    if state.is_reading() {
-        let restored = AllocationLevel::restore(*level.learning(), own);
-        let misfit = "the checkpoint's allocator does not fit train.toml";
-        *level = restored.ok_or_else(|| LearnError::Config(misfit.to_owned()))?;
-    }
-    Ok(())
+    let AllocationLevel { critic, target, policy, optimisers, .. } = level;
+    let [of_critic, of_policy] = optimisers;
+    state.vector("critic/online", &mut critic.parameters.values)?;
+    state.vector("critic/target", &mut target.parameters.values)?;
+    state.vector("critic/square", &mut of_critic.square)?;
+    state.vector("policy/online", &mut policy.parameters.values)?;
+    state.vector("policy/square", &mut of_policy.square)?;
+    state.value("critic/online-statistics", &mut critic.popart)?;
+    state.value("critic/target-statistics", &mut target.popart)
 }
 
 #[cfg(test)]
@@ -380,7 +383,7 @@ mod tests {
                 play.round(&mut method, now, &mut EpisodeCounts::default()).unwrap();
                 method.update(&*ring, now, &mut reports).unwrap();
             }
-            assert_eq!(method.replay.len(), 8);
+            assert_eq!(method.replay.episodes().len(), 8);
             assert_ne!(method.low_level.online, before);
             assert!(reports.agents.iter().all(|report| report.loss > 0.0), "{reports:?}");
             let measured = play::evaluate(&*ring, &mut *method.team(), 8, 3).unwrap();

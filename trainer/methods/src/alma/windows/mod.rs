@@ -22,7 +22,7 @@ use sortie_envs::Shape;
 use sortie_nn::layers::SparseRows;
 
 pub use config::{Config, Exploration};
-pub use deciding::{ExploringAllocator, ProposalAllocator};
+pub use deciding::ProposalAllocator;
 pub use export::{ProposalGraphs, export_proposals};
 pub use method::WindowLearner;
 pub use popart::{PopArt, Rescale};

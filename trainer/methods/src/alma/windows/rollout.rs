@@ -1,7 +1,8 @@
 //! Acting while learning: rounds of whole episodes, one in each of several environments.
 
-use sortie_envs::random::chance;
+use sortie_envs::random::{chance, member};
 use sortie_envs::{DecisionPoints, EntitySet, Observation, Shape, UNASSIGNED};
+use sortie_learn::networks::best;
 use sortie_learn::subtasks::{Allocate, AllocatedScene};
 use sortie_learn::{LearnError, Scenes, Transition};
 use sortie_nn::random::Generator;
@@ -9,7 +10,7 @@ use sortie_nn::random::Generator;
 use super::config::Config;
 use super::config::Exploration;
 use super::sampling::{Episode, Moment};
-use crate::alma::agents::{NO_ACTION, best_action, random_action};
+use crate::alma::agents::NO_ACTION;
 use crate::alma::coach::Advice;
 use crate::alma::teams::{Agents, Players};
 
@@ -132,11 +133,11 @@ impl Rollout {
             let available = shown[place].seen.available[agent];
             let generator = &mut random[shown[place].world];
             let action = if chance(generator, epsilon.into()) {
-                random_action(available, generator)
+                member(generator, available.into()).unwrap_or(0)
             } else {
-                best_action(utilities, available)
+                best(utilities, available)
             };
-            actions[place * slots + agent] = action.into();
+            actions[place * slots + agent] = action as u16;
         })
     }
 

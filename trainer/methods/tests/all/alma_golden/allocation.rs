@@ -1,62 +1,96 @@
 //! The allocation networks and one step of their learner against the reference's.
 
+use sortie_learn::random::{Purpose, generator};
 use sortie_methods::alma::windows::allocation::{
     AllocationCritic, AllocationLearning, AllocationLevel, AllocationNetworks, AllocationPolicy,
-    AllocationShape, CriticWeights, Decider, Noise, PolicyWeights, RowRules, StateView, States,
-    StepDraws, TaskColumns,
+    AllocationShape, Decider, Noise, RowRules, States, StepDraws, TaskColumns,
 };
-use sortie_methods::alma::windows::{NO_TASK, PopArt};
-use sortie_nn::layers::SparseRows;
+use sortie_methods::alma::windows::{Config, NO_TASK, PopArt, WindowShape, Windows};
 
+use super::coach::columns as rows_of;
 use super::windows::{task_of, windows};
 use crate::files::{Case, Tensor, assert_close, json_cases, safetensors_case};
 
 const HEADS: usize = 4;
 
-/// The critic whose tensors stand under a prefix; without a PopArt head it is the identity.
-fn critic(case: &Case, prefix: &str) -> CriticWeights {
-    let tensor = |name: &str| case.get(&format!("{prefix}{name}"));
-    let sizes = &tensor("in_fc_ent.weight").shape;
-    let columns = tensor("in_fc_alloc.fc.weight").shape[1];
-    let head = |name: &str| case.tensors.get(&format!("{prefix}popart_{name}"));
-    let head = |name: &str| head(name).map(|tensor| tensor.f32s()[0]);
-    CriticWeights {
-        shape: AllocationShape { features: sizes[1], columns, width: sizes[0], heads: HEADS },
-        entity_weight: tensor("in_fc_ent.weight").f32s(),
-        entity_bias: tensor("in_fc_ent.bias").f32s(),
-        task_weight: tensor("in_fc_alloc.fc.weight").f32s(),
-        count_weight: tensor("count_embed.count_embed.weight").f32s(),
-        count_bias: tensor("count_embed.count_embed.bias").f32s(),
-        attention_in_weight: tensor("attn.in_trans.weight").f32s(),
-        attention_out_weight: tensor("attn.out_trans.weight").f32s(),
-        attention_out_bias: tensor("attn.out_trans.bias").f32s(),
-        value_weight: tensor("out_fc.weight").f32s(),
-        value_bias: tensor("out_fc.bias").f32s(),
-        popart_weight: head("weight").unwrap_or(1.0),
-        popart_bias: head("bias").unwrap_or(0.0),
-        mean: 0.0,
-        deviation: 1.0,
+/// Recorded tensors under a prefix in the order of a network's parameters: those of embeddings turned.
+struct Recorded<'a> {
+    case: &'a Case,
+    prefix: &'a str,
+    values: Vec<f32>,
+}
+
+impl<'a> Recorded<'a> {
+    fn new(case: &'a Case, prefix: &'a str) -> Self {
+        Self { case, prefix, values: Vec::new() }
+    }
+
+    fn name(&self, name: &str) -> String {
+        format!("{}{name}", self.prefix)
+    }
+
+    fn add(&mut self, names: &[&str]) {
+        for name in names {
+            self.values.extend(self.case.get(&self.name(name)).f32s());
+        }
+    }
+
+    fn add_turned(&mut self, names: &[&str]) {
+        let names: Vec<String> = names.iter().map(|name| self.name(name)).collect();
+        self.values.extend(rows_of(self.case, &names));
+    }
+
+    /// Sizes by the embeddings of entities and of tasks.
+    fn shape(&self, entities: &str, tasks: &str) -> AllocationShape {
+        let sizes = |name: &str| &self.case.get(&self.name(name)).shape;
+        let (of_entities, columns) = (sizes(entities), sizes(tasks)[1]);
+        let [width, features] = of_entities[..] else { panic!("sizes") };
+        AllocationShape { features, columns, width, heads: HEADS }
     }
 }
 
-/// The policy whose tensors stand under a prefix.
-fn policy(case: &Case, prefix: &str) -> PolicyWeights {
-    let tensor = |name: &str| case.get(&format!("{prefix}{name}"));
-    let sizes = &tensor("fc1.weight").shape;
-    let columns = tensor("task_embed.fc.weight").shape[1];
-    PolicyWeights {
-        shape: AllocationShape { features: sizes[1], columns, width: sizes[0], heads: HEADS },
-        entity_weight: tensor("fc1.weight").f32s(),
-        entity_bias: tensor("fc1.bias").f32s(),
-        task_weight: tensor("task_embed.fc.weight").f32s(),
-        attention_in_weight: tensor("attn.in_trans.weight").f32s(),
-        attention_out_weight: tensor("attn.out_trans.weight").f32s(),
-        attention_out_bias: tensor("attn.out_trans.bias").f32s(),
-        count_weight: tensor("count_embed.weight").f32s(),
-        count_bias: tensor("count_embed.bias").f32s(),
-        update_weight: tensor("embed_update.weight").f32s(),
-        update_bias: tensor("embed_update.bias").f32s(),
+const ATTENTION: [&str; 3] =
+    ["attn.in_trans.weight", "attn.out_trans.weight", "attn.out_trans.bias"];
+
+/// The critic whose tensors stand under a prefix; without a PopArt head it is the identity.
+fn critic(case: &Case, prefix: &str) -> AllocationCritic {
+    let mut recorded = Recorded::new(case, prefix);
+    let shape = recorded.shape("in_fc_ent.weight", "in_fc_alloc.fc.weight");
+    let counts = "count_embed.count_embed.weight";
+    recorded.add_turned(&["in_fc_ent.weight", "in_fc_alloc.fc.weight", counts]);
+    recorded.add(&["count_embed.count_embed.bias", "in_fc_ent.bias"]);
+    recorded.add(&ATTENTION);
+    recorded.add(&["out_fc.weight", "out_fc.bias"]);
+    for (name, nothing) in [("popart_weight", 1.0), ("popart_bias", 0.0)] {
+        let tensor = case.tensors.get(&recorded.name(name));
+        recorded.values.push(tensor.map_or(nothing, |tensor| tensor.f32s()[0]));
     }
+    let mut critic = AllocationCritic::initialise(shape, &mut generator(1, Purpose::Weights, 0));
+    assert_eq!(critic.parameters.values.len(), recorded.values.len(), "tensors that fit");
+    critic.parameters.values = recorded.values;
+    critic
+}
+
+/// The policy whose tensors stand under a prefix.
+fn policy(case: &Case, prefix: &str) -> AllocationPolicy {
+    let mut recorded = Recorded::new(case, prefix);
+    let shape = recorded.shape("fc1.weight", "task_embed.fc.weight");
+    recorded.add_turned(&["fc1.weight", "task_embed.fc.weight"]);
+    recorded.add(&["fc1.bias"]);
+    recorded.add(&ATTENTION);
+    recorded.add_turned(&["count_embed.weight"]);
+    recorded.add(&["count_embed.bias"]);
+    // Of every row of the update, the task's half stands before the agent's.
+    let update = case.get(&recorded.name("embed_update.weight")).f32s();
+    for half in [0, 1] {
+        let rows = update.chunks(shape.width).skip(half).step_by(2);
+        recorded.values.extend(rows.flatten());
+    }
+    recorded.add(&["embed_update.bias"]);
+    let mut policy = AllocationPolicy::initialise(shape, &mut generator(1, Purpose::Weights, 0));
+    assert_eq!(policy.parameters.values.len(), recorded.values.len(), "tensors that fit");
+    policy.parameters.values = recorded.values;
+    policy
 }
 
 /// The columns of tasks, where the reference says which task each column stands for.
@@ -94,18 +128,21 @@ fn states(case: &Case, agents: usize) -> States {
         Some(last) => tasks_of(last, 1.0),
         None => vec![NO_TASK; count * agents],
     };
-    let mut features = SparseRows::default();
-    entities.f32s().chunks(width).for_each(|row| features.push_dense(row));
+    let mut windows = Windows::new(WindowShape {
+        windows: count,
+        steps: 1,
+        agents,
+        entities: slots,
+        tasks,
+        actions: 0,
+        features: width,
+    });
+    windows.features.clear();
+    entities.f32s().chunks(width).for_each(|row| windows.features.push_dense(row));
+    (windows.present, windows.entity_task, windows.open) = (present, entity_task, open);
     let mut states = States::new(agents, slots, tasks);
-    for state in 0..count {
-        states.push(StateView {
-            features: &features,
-            first_row: state * slots,
-            present: &present[state * slots..][..slots],
-            entity_task: &entity_task[state * slots..][..slots],
-            open: &open[state * tasks..][..tasks],
-            last_allocation: &last[state * agents..][..agents],
-        });
+    for (state, last) in last.chunks(agents).enumerate() {
+        states.push(&windows, state, last);
     }
     states
 }
@@ -113,8 +150,7 @@ fn states(case: &Case, agents: usize) -> States {
 #[test]
 fn critic_agrees() {
     for case in json_cases("alloc_critic") {
-        let weights = critic(&case, "w/");
-        let critic = AllocationCritic::from_weights(&weights).expect("tensors that fit");
+        let critic = critic(&case, "w/");
         let given = case.get("in/override_alloc");
         let states = states(&case, given.shape[2]);
         let columns = columns_of(&case, given.shape[3]);
@@ -138,8 +174,7 @@ fn allocations(tensor: &Tensor) -> Vec<u8> {
 #[test]
 fn policy_agrees() {
     for case in json_cases("alloc_policy_default") {
-        let policy =
-            AllocationPolicy::from_weights(&policy(&case, "w/")).expect("tensors that fit");
+        let policy = policy(&case, "w/");
         let gumbel = case.get("in/gumbel");
         let [_, proposals, agents, tasks] = gumbel.shape[..] else { panic!("sizes") };
         let states = states(&case, agents);
@@ -156,10 +191,7 @@ fn policy_agrees() {
 #[test]
 fn decisions_at_save_the_city_sizes_agree() {
     let case = safetensors_case("networks", "allocation_decision_default");
-    let weights = critic(&case, "w/critic.");
-    let critic = AllocationCritic::from_weights(&weights).expect("tensors that fit");
-    let policy =
-        AllocationPolicy::from_weights(&policy(&case, "w/policy.")).expect("tensors that fit");
+    let (critic, policy) = (critic(&case, "w/critic."), policy(&case, "w/policy."));
     let gumbel = case.get("in/gumbel");
     let [_, proposals, agents, tasks] = gumbel.shape[..] else { panic!("sizes") };
     let states = states(&case, agents);
@@ -186,18 +218,18 @@ fn recorded_level() -> (AllocationLevel, Case) {
     let case = safetensors_case("learner", "alloc_aql_0");
     let popart = PopArt { mean: 0.25, variance: 2.25, started: true };
     let with_statistics = |prefix| {
-        let weights = critic(&case, prefix);
-        let mut critic = AllocationCritic::from_weights(&weights).expect("tensors that fit");
+        let mut critic = critic(&case, prefix);
         critic.popart = popart;
         critic
     };
-    let policy =
-        AllocationPolicy::from_weights(&policy(&case, "w/policy.")).expect("tensors that fit");
+    let policy = policy(&case, "w/policy.");
+    let usual = Config::default().allocation_learning(windows(&case).shape);
     let learning = AllocationLearning {
+        shape: policy.shape,
         proposals: 4,
         rows: RowRules { interval: 3.0, most: 400, age_limit: 150_000.0 },
         as_public_code: true,
-        ..AllocationLearning::published(policy.shape(), 3.0)
+        ..usual
     };
     let (online, target) = (with_statistics("w/critic."), with_statistics("target_w/critic."));
     (AllocationLevel::with_networks(learning, online, policy, target), case)
@@ -216,13 +248,12 @@ fn recorded_draws(noise: &[f32]) -> StepDraws<'_> {
 #[test]
 fn recorded_step_agrees() {
     let (mut level, case) = recorded_level();
-    let shape = level.learning().shape;
     let noise = case.get("in/gumbel").f32s();
     let windows = windows(&case);
     let draws = recorded_draws(&noise);
     let report = level.learn_with(&windows, 1_000_000, &draws, 2).expect("rows to learn from");
 
-    let step = level.last_step();
+    let step = &level.last;
     let number = |flags: &[bool]| flags.iter().map(|f| f32::from(u8::from(*f))).collect::<Vec<_>>();
     let rows = &step.rows;
     assert_close("reward", &rows.reward, &case.get("out/meta/reward").data);
@@ -232,7 +263,7 @@ fn recorded_step_agrees() {
     assert_close("targets", &narrow(&step.targets), &case.get("out/targets").data);
     assert_close("normalised", &narrow(&step.normalised), &case.get("out/targets_normalised").data);
     assert_eq!(step.best, tasks_of(case.get("out/best_alloc"), 1.0));
-    let popart = level.networks().critic.popart;
+    let popart = level.critic.popart;
     assert_close("mean", &[popart.mean as f32], &case.get("out/popart_mean").data);
     assert_close("variance", &[popart.variance as f32], &case.get("out/popart_var").data);
     for (name, got) in [
@@ -245,68 +276,27 @@ fn recorded_step_agrees() {
         assert_close(name, &[got as f32], &case.get(&format!("out/stat/{name}")).data);
     }
 
-    let gradient = step.critic_gradient.clone();
-    let gradient = AllocationCritic::from_parameters(shape, gradient, PopArt::default());
-    let gradient = critic_tensors(gradient.expect("as many").weights());
-    compare(&gradient, &critic_tensors(critic(&case, "out/grad/critic.")), None);
-    let after = critic_tensors(level.networks().critic.weights());
-    compare(&after, &critic_tensors(critic(&case, "out/after/critic.")), Some(&gradient));
-
-    let gradient = AllocationPolicy::from_parameters(shape, step.policy_gradient.clone());
-    let gradient = policy_tensors(gradient.expect("as many").weights());
-    compare(&gradient, &policy_tensors(policy(&case, "out/grad/policy.")), None);
-    let after = policy_tensors(level.networks().policy.weights());
-    compare(&after, &policy_tensors(policy(&case, "out/after/policy.")), Some(&gradient));
-}
-
-fn critic_tensors(weights: CriticWeights) -> Vec<(&'static str, Vec<f32>)> {
-    vec![
-        ("entity", weights.entity_weight),
-        ("entity bias", weights.entity_bias),
-        ("task", weights.task_weight),
-        ("count", weights.count_weight),
-        ("count bias", weights.count_bias),
-        ("attention in", weights.attention_in_weight),
-        ("attention out", weights.attention_out_weight),
-        ("attention out bias", weights.attention_out_bias),
-        ("value", weights.value_weight),
-        ("value bias", weights.value_bias),
-        ("head", vec![weights.popart_weight, weights.popart_bias]),
-    ]
-}
-
-fn policy_tensors(weights: PolicyWeights) -> Vec<(&'static str, Vec<f32>)> {
-    vec![
-        ("entity", weights.entity_weight),
-        ("entity bias", weights.entity_bias),
-        ("task", weights.task_weight),
-        ("count", weights.count_weight),
-        ("count bias", weights.count_bias),
-        ("attention in", weights.attention_in_weight),
-        ("attention out", weights.attention_out_weight),
-        ("attention out bias", weights.attention_out_bias),
-        ("update", weights.update_weight),
-        ("update bias", weights.update_bias),
-    ]
+    let want = |prefix| critic(&case, prefix).parameters.values;
+    compare(&step.critic_gradient, &want("out/grad/critic."), None);
+    let after = &level.critic.parameters.values;
+    compare(after, &want("out/after/critic."), Some(&step.critic_gradient));
+    let want = |prefix| policy(&case, prefix).parameters.values;
+    compare(&step.policy_gradient, &want("out/grad/policy."), None);
+    let after = &level.policy.parameters.values;
+    compare(after, &want("out/after/policy."), Some(&step.policy_gradient));
 }
 
 /// Compares gradients, or parameters after a step where gradients are given: those below 1e-9 say nothing
 /// of the sign of the step.
-fn compare(
-    got: &[(&str, Vec<f32>)],
-    want: &[(&str, Vec<f32>)],
-    gradients: Option<&[(&str, Vec<f32>)]>,
-) {
-    for (index, ((name, got), (_, want))) in got.iter().zip(want).enumerate() {
-        assert_eq!(got.len(), want.len(), "{name}");
-        for (place, (got, want)) in got.iter().zip(want).enumerate() {
-            let limit = match gradients {
-                None => 1e-6 + 1e-3 * want.abs(),
-                Some(gradients) if gradients[index].1[place].abs() < 1e-9 => continue,
-                Some(_) => 1e-5,
-            };
-            assert!((got - want).abs() <= limit, "{name}[{place}]: {got} against {want}");
-        }
+fn compare(got: &[f32], want: &[f32], gradients: Option<&[f32]>) {
+    assert_eq!(got.len(), want.len());
+    for (place, (got, want)) in got.iter().zip(want).enumerate() {
+        let limit = match gradients {
+            None => 1e-6 + 1e-3 * want.abs(),
+            Some(gradients) if gradients[place].abs() < 1e-9 => continue,
+            Some(_) => 1e-5,
+        };
+        assert!((got - want).abs() <= limit, "{place}: {got} against {want}");
     }
 }
 
@@ -318,7 +308,8 @@ fn the_number_of_threads_changes_nothing() {
     let step = |threads: usize| {
         let mut level = level.clone();
         let report = level.learn_with(&windows, 1_000_000, &recorded_draws(&noise), threads);
-        (report.expect("rows to learn from"), level.state())
+        let AllocationLevel { critic, policy, optimisers, .. } = level;
+        (report.expect("rows to learn from"), critic, policy, optimisers)
     };
     let one = step(1);
     assert_eq!(one, step(2));

@@ -1,18 +1,19 @@
 //! COPA's coach and recognition network against the reference's modules.
 
+use sortie_learn::random::{Purpose, generator};
 use sortie_methods::alma::agents::{TaskOrder, UtilityInput};
-use sortie_methods::alma::coach::{CoachLayers, CoachShape, RecognitionLayers, RecognitionShape};
+use sortie_methods::alma::coach::{CoachLayers, CoachShape, RecognitionLayers};
 use sortie_methods::alma::windows::low_level::coaching::state_input;
-use sortie_nn::tape::{Places, Tape};
+use sortie_nn::tape::{Parameters, Tape};
 
 use super::reference;
 use crate::files::{Case, assert_close, json_cases};
 
 /// The columns of all matrices `[out, in]`, one matrix behind the other: rows `[in, out]` of one layer.
-fn columns(case: &Case, names: &[&str]) -> Vec<f32> {
+pub(super) fn columns<N: AsRef<str>>(case: &Case, names: &[N]) -> Vec<f32> {
     let mut rows = Vec::new();
     for name in names {
-        let tensor = case.get(name);
+        let tensor = case.get(name.as_ref());
         let (outputs, inputs) = (tensor.shape[0], tensor.shape[1]);
         for column in 0..inputs {
             rows.extend((0..outputs).map(|row| tensor.data[row * inputs + column] as f32));
@@ -76,12 +77,14 @@ fn coach_and_recognition_agree() {
                 "w/coach.logvar.bias",
             ],
         );
-        assert_eq!(coach.len(), shape.parameters());
+        let (mut drawn, random) = (Parameters::default(), &mut generator(1, Purpose::Weights, 0));
+        let layers = CoachLayers::new(shape, &mut drawn, random);
+        assert_eq!(coach.len(), drawn.values.len());
         let mut input = UtilityInput::default();
         state_input(shape, &windows, &states, &order, false, &mut input);
         let mut tape = Tape::default();
         let mut pass = tape.begin(&coach);
-        let told = CoachLayers::of(shape, &mut Places::default()).strategies(&mut pass, &input);
+        let told = layers.strategies(&mut pass, &input);
         check("out/mu", pass.values(told.means));
         check("out/logvar", pass.values(told.log_variances));
         let noise = case.get("in/eps").f32s();
@@ -111,11 +114,12 @@ fn coach_and_recognition_agree() {
                 "w/recog.logvar.2.bias",
             ],
         );
-        let shape = RecognitionShape { coach: shape, actions };
-        assert_eq!(recognition.len(), shape.parameters());
-        state_input(shape.coach, &windows, &states, &order, true, &mut input);
+        let mut drawn = Parameters::default();
+        let layers = RecognitionLayers::new(shape, actions, &mut drawn, random);
+        assert_eq!(recognition.len(), drawn.values.len());
+        state_input(shape, &windows, &states, &order, true, &mut input);
         let mut pass = tape.begin(&recognition);
-        let guess = RecognitionLayers::of(shape, &mut Places::default()).guess(&mut pass, &input);
+        let guess = layers.guess(&mut pass, &input);
         check("out/recog_mean", pass.values(guess.means));
         check("out/recog_logvar", pass.values(guess.log_variances));
     }

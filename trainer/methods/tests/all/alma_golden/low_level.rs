@@ -22,7 +22,7 @@ use sortie_nn::layers::gru::{GruPass, GruShape};
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::softmax;
 use sortie_nn::optimise::RmsProp;
-use sortie_nn::tape::{Places, Tape};
+use sortie_nn::tape::{Parameters, Places, Tape};
 
 use super::{reference, windows};
 use crate::files::{Case, assert_close, json_cases, json_file, json_tensor, safetensors_case};
@@ -63,7 +63,9 @@ fn hypernetworks_agree() {
         let (input, rows) = team_input(&states, conditioning);
         let shape = hypernetwork_shape(&case, "w/");
         let parameters = reference::hypernetwork(&case, "w/");
-        let layers = HypernetworkLayers::of(shape, mode, &mut Places::default());
+        let random = &mut generator(1, Purpose::Weights, 0);
+        let sizes = (shape, mode);
+        let layers = HypernetworkLayers::new("w1", sizes, &mut Parameters::default(), random);
         let mut tape = Tape::default();
         let mut pass = tape.begin(&parameters);
         let merged = layers.merged(&mut pass);
@@ -113,10 +115,12 @@ fn check_mixer(case: &Case, conditioning: Conditioning, softmax_weights: bool) {
         nonnegative: nonnegative(softmax_weights),
         bias_nonnegative: true,
     };
-    let mixer = Mixer::from_parameters(shape, reference::mixer(case, "w/", outputs));
-    let mixer = mixer.expect("as many as the shape has");
+    let mut drawn = Parameters::default();
+    let mixer = Mixer::new(shape, &mut drawn, &mut generator(1, Purpose::Weights, 0));
+    let parameters = reference::mixer(case, "w/", outputs);
+    assert_eq!(parameters.len(), drawn.values.len(), "as many as the shape has");
     let utilities = case.get("in/agent_qs").f32s();
-    let values = team_values(&mixer, &states, conditioning, &utilities);
+    let values = team_values(mixer, &parameters, &states, conditioning, &utilities);
     assert_close(&case.name, &values, &case.get("out/q_tot").data);
 }
 
@@ -224,12 +228,10 @@ fn learner(case: &Case, conditioning: Conditioning) -> LowLevel {
         ..LowLevelConfig::default()
     };
     let mut learner = LowLevel::new(config, sizes, &mut generator(1, Purpose::Weights, 0));
-    for (networks, prefix) in [(&mut learner.online, "w/"), (&mut learner.target, "target_w/")] {
-        networks.agents = reference::agents(case, &format!("{prefix}agent."), 4);
-        let parameters = reference::mixer(case, &format!("{prefix}mixer."), 0);
-        networks.mixer.parameters_mut().copy_from_slice(&parameters);
-        networks.popart = PopArt { mean: 0.25, variance: 2.25, started: true };
-    }
+    learner.online.values.copy_from_slice(&recorded(case, "w/"));
+    learner.target.copy_from_slice(&recorded(case, "target_w/"));
+    learner.popart = PopArt { mean: 0.25, variance: 2.25, started: true };
+    learner.target_popart = learner.popart;
     learner
 }
 
@@ -237,7 +239,7 @@ fn learner(case: &Case, conditioning: Conditioning) -> LowLevel {
 fn recorded(case: &Case, prefix: &str) -> Vec<f32> {
     let agents = reference::agents(case, &format!("{prefix}agent."), 4);
     let mixer = reference::mixer(case, &format!("{prefix}mixer."), 0);
-    agents.parameters().iter().copied().chain(mixer).collect()
+    agents.parameters.iter().copied().chain(mixer).collect()
 }
 
 fn assert_near(what: &str, got: f64, want: f64, tolerance: f64) {
@@ -260,11 +262,11 @@ fn check_targets(case: &Case, conditioning: Conditioning) -> (LowLevel, [f64; 2]
         let at = place(term.state, term.task);
         mask[at] = 1.0;
         assert_near("target", term.target, case.get("out/targets").data[at], 1e-5);
-        let normalised = learner.online.popart.normalise(term.target);
+        let normalised = learner.popart.normalise(term.target);
         assert_near("normalised", normalised, case.get("out/targets_normalised").data[at], 1e-5);
     }
     assert_eq!(mask, case.get("out/td_mask").data, "{}: mask", case.name);
-    let popart = learner.online.popart;
+    let popart = learner.popart;
     assert_near("mean", popart.mean, case.get("out/popart_mean").data[0], 1e-6);
     assert_near("variance", popart.variance, case.get("out/popart_var").data[0], 1e-6);
     (learner, [report.loss, report.gradient_norm.into()])
@@ -277,14 +279,13 @@ fn check_step(name: &str, conditioning: Conditioning) {
     assert_near("norm", norm, case.get("out/stat/train_metrics.q_grad_norm").data[0], 1e-5);
 
     let want = recorded(&case, "out/grad/");
-    assert_eq!(learner.gradient().len(), want.len());
-    for (index, (got, want)) in learner.gradient().iter().zip(&want).enumerate() {
+    assert_eq!(learner.gradient.len(), want.len());
+    for (index, (got, want)) in learner.gradient.iter().zip(&want).enumerate() {
         let tolerance = 1e-6 + 1e-3 * want.abs();
         assert!((got - want).abs() <= tolerance, "{name}: gradient {index}: {got} against {want}");
     }
     learner.follow();
-    let networks = learner.online;
-    let got = networks.agents.parameters().iter().chain(networks.mixer.parameters());
+    let got = learner.online.values.iter();
     let mut compared = 0;
     for ((got, after), slope) in got.zip(recorded(&case, "out/after/")).zip(want) {
         // The first step of RMSprop is nearly the sign of the slope, which is noise where it is tiny.

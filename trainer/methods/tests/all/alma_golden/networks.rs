@@ -4,7 +4,7 @@ use sortie_methods::alma::agents::{UtilityInput, UtilityLayers};
 use sortie_nn::layers::attention::{self, AttentionShape};
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::{SparseRows, VisibleLists};
-use sortie_nn::tape::{Places, Tape};
+use sortie_nn::tape::Tape;
 
 use super::reference::agents;
 use crate::files::{Case, assert_close, json_cases, safetensors_case};
@@ -112,7 +112,7 @@ fn check_utility_network(case: &Case, subtask_mask: bool) {
     };
 
     let features = case.get("in/entities").f32s();
-    let width = network.shape().input;
+    let width = network.shape.input;
     let mut input = UtilityInput { rows: SparseRows::default(), ..UtilityInput::default() };
     for (sample, entity) in order.iter() {
         input.rows.push_dense(&features[(sample * count + entity) * width..][..width]);
@@ -128,12 +128,12 @@ fn check_utility_network(case: &Case, subtask_mask: bool) {
     }
 
     let mut tape = Tape::default();
-    let mut pass = tape.begin(network.parameters());
-    let layers = UtilityLayers::of(network.shape(), &mut Places::default());
+    let mut pass = tape.begin(&network.parameters);
+    let layers = UtilityLayers::of(network.shape);
     let got = layers.utilities(&mut pass, &input);
     let got = pass.values(got);
     let want = &case.get("out/q").data;
-    let actions = network.shape().actions;
+    let actions = network.shape.actions;
     let absent = &case.get("in/entity_mask").data;
     let mut compared = 0;
     for (sample, agent) in order.iter().take(samples * agents) {

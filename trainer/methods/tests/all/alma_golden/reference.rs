@@ -75,7 +75,8 @@ pub(crate) fn agents(case: &Case, prefix: &str, heads: usize) -> UtilityNetwork 
     ] {
         parameters.extend(tensor(part));
     }
-    UtilityNetwork::from_parameters(shape, parameters).expect("tensors of the recorded network fit")
+    assert_eq!(parameters.len(), shape.parameters(), "tensors of the recorded network fit");
+    UtilityNetwork { shape, parameters }
 }
 
 /// The states of a recorded network case as windows of one step: entities, who is there, who works on

@@ -10,7 +10,7 @@ use sortie_envs::{Environment, Observation, Random, Spec, members};
 use sortie_learn::Trajectories;
 use sortie_learn::learner::{Loss, Shard};
 use sortie_learn::trajectory::{End, Place};
-use sortie_nn::tape::{Parameters, Places};
+use sortie_nn::tape::Parameters;
 
 use super::input::{TeamQuery, TeamValueInput};
 use crate::alma::agents::{UtilityLayers, UtilityShape};
@@ -48,18 +48,12 @@ pub struct TeamValues {
 pub struct TeamLesson {
     input: TeamValueInput,
     seen: Observation,
-    targets: Vec<f32>,
+    /// Those of what was learned from last.
+    pub(super) targets: Vec<f32>,
     /// Places in the lesson of what has a next decision.
     followed: Vec<usize>,
     /// Floating-point operations of the last use.
     pub operations: u64,
-}
-
-impl TeamLesson {
-    /// The targets of what was learned from last.
-    pub fn targets(&self) -> &[f32] {
-        &self.targets
-    }
 }
 
 /// How often segments may be drawn in vain before there seem to be none.
@@ -99,7 +93,7 @@ impl TeamValues {
     pub fn new(config: &AllocatorConfig, spec: &Spec, random: &mut Random) -> (Self, Parameters) {
         let (shape, mut parameters) = (config.shape(spec), Parameters::default());
         shape.draw(&mut parameters, config.network.active_inputs, random);
-        (Self { shape, layers: UtilityLayers::of(shape, &mut Places::default()) }, parameters)
+        (Self { shape, layers: UtilityLayers::of(shape) }, parameters)
     }
 
     /// The part that some segments have in the mean loss over so many.

@@ -18,7 +18,7 @@ use sortie_envs::{Environment, Observation, UNASSIGNED, members};
 use sortie_learn::LearnError;
 use sortie_learn::subtasks::Allocate;
 use sortie_nn::random::Generator;
-use sortie_nn::tape::{Places, Tape};
+use sortie_nn::tape::Tape;
 
 use crate::alma::agents::{UtilityInput, UtilityLayers, UtilityView};
 
@@ -45,7 +45,7 @@ impl Values {
         network: UtilityView<'_>,
         write: impl FnOnce(&mut TeamValueInput) -> &UtilityInput,
     ) -> &[f32] {
-        let layers = UtilityLayers::of(network.shape, &mut Places::default());
+        let layers = UtilityLayers::of(network.shape);
         let mut pass = self.tape.begin(network.parameters);
         let values = layers.utilities(&mut pass, write(&mut self.input));
         self.values.clear();

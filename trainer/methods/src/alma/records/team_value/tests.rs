@@ -180,12 +180,12 @@ fn all_things_of_a_subtask_are_marked_and_the_first_asks() {
 
 /// What a network says to questions, and its slope by the parameters where each answer counts so much.
 fn answers(network: &UtilityNetwork, input: &UtilityInput, slopes: &[f32]) -> (Vec<f32>, Vec<f32>) {
-    let layers = UtilityLayers::of(network.shape(), &mut Places::default());
+    let layers = UtilityLayers::of(network.shape);
     let mut tape = Tape::default();
-    let mut pass = tape.begin(network.parameters());
+    let mut pass = tape.begin(&network.parameters);
     let values = layers.utilities(&mut pass, input);
     let found = pass.values(values).to_vec();
-    let mut gradient = vec![0.0; network.parameters().len()];
+    let mut gradient = vec![0.0; network.parameters.len()];
     if !slopes.is_empty() {
         let loss = pass.weighted_sum(values, slopes);
         pass.backward(loss, &mut gradient);
@@ -229,16 +229,16 @@ fn check_gradient(network: &UtilityNetwork) {
     let input = input.queries(&toy(), queries);
     let slopes = [0.3, -1.0, 0.5, 2.0, -0.7, 0.2, 1.1, -0.4];
     let loss = |parameters: &[f32]| -> f64 {
-        let network = UtilityNetwork::from_parameters(network.shape(), parameters.to_vec());
-        let values = answers(&network.unwrap(), input, &[]).0;
+        let network = UtilityNetwork { shape: network.shape, parameters: parameters.to_vec() };
+        let values = answers(&network, input, &[]).0;
         values.iter().zip(slopes).map(|(v, s)| f64::from(*v) * f64::from(s)).sum()
     };
     let (found, gradient) = answers(network, input, &slopes);
     assert_eq!(found.len(), 8);
-    for tensor in network.shape().tensors() {
-        let at = &network.parameters()[tensor.range.clone()];
+    for tensor in network.shape.tensors() {
+        let at = &network.parameters[tensor.range.clone()];
         assert_gradient(&tensor.name, at, &gradient[tensor.range.clone()], |moved| {
-            let mut parameters = network.parameters().to_vec();
+            let mut parameters = network.parameters.to_vec();
             parameters[tensor.range.clone()].copy_from_slice(moved);
             loss(&parameters)
         });
@@ -328,7 +328,7 @@ fn closed_subtasks_and_ended_episodes_do_not_bootstrap() {
                 environment.observe(decision(drawn.place.after(1)).state, 0, 0, &mut seen);
                 seen.open_tasks >> drawn.task & 1 == 1
             };
-            assert_eq!(shard.space.targets()[0] != drawn.task as f32 - 1.0, goes_on);
+            assert_eq!(shard.space.targets[0] != drawn.task as f32 - 1.0, goes_on);
             loss
         });
         bootstrapped += usize::from(segments.end(drawn.place) == End::Open);

@@ -21,11 +21,11 @@ type Row = Vec<f64>;
 
 /// What a network says to the entity of the row `own` that sees the rows `seen` (dissertation section 2.3).
 fn outputs(network: &UtilityNetwork, own: &Row, seen: &[Row]) -> Vec<f64> {
-    let shape = network.shape();
+    let shape = network.shape;
     let tensors = shape.tensors();
     let tensor = |name: &str| {
         let found = tensors.iter().find(|tensor| tensor.name == name);
-        &network.parameters()[found.map_or(0..0, |tensor| tensor.range.clone())]
+        &network.parameters[found.map_or(0..0, |tensor| tensor.range.clone())]
     };
     let fc1 = transpose(tensor("fc1.weight"), shape.input, shape.width);
     let embed = |row: &Row| rectified(affine(&fc1, tensor("fc1.bias"), row));
@@ -189,7 +189,7 @@ fn squared_error(
     map: Map,
     subtask: Conditioning,
 ) -> f64 {
-    let columns = online.shape().input;
+    let columns = online.shape.input;
     let [now, next] = [false, true].map(|next| sight(sample, map, columns, next));
     let task = sample.task;
     let team: Vec<usize> = members(sample.now.team(task).into()).collect();
@@ -235,8 +235,9 @@ fn the_loss_of_every_record_is_that_of_the_rules() {
         let (method, city) = (played(config.clone(), 40), city(&config));
         let network = |seed| Networks::new(&config, city.spec(), &mut generator(seed));
         let ((networks, online), (_, target)) = (network(1), network(2));
-        let utility = |parameters: &[f32]| {
-            UtilityNetwork::from_parameters(networks.shape, parameters.to_vec()).unwrap()
+        let utility = |parameters: &[f32]| UtilityNetwork {
+            shape: networks.shape,
+            parameters: parameters.to_vec(),
         };
         let experience = Experience { environment: &*city, replay: &method.replay };
         let mut ended = 0;
@@ -315,8 +316,9 @@ fn check_losses(skip: bool) {
     let (method, city) = (played(config.clone(), 100), city(&config));
     let network = |seed| TeamValues::new(&config.allocator, city.spec(), &mut generator(seed));
     let ((values, online), (_, target)) = (network(1), network(2));
-    let utility = |parameters: &[f32]| {
-        UtilityNetwork::from_parameters(values.shape, parameters.to_vec()).unwrap()
+    let utility = |parameters: &[f32]| UtilityNetwork {
+        shape: values.shape,
+        parameters: parameters.to_vec(),
     };
     let [own, other] = [&online, &target].map(|all| utility(&all.values));
     let segments = &method.allocator.as_ref().unwrap().segments;

@@ -102,9 +102,8 @@ impl Decider {
             let own = (states, block);
             let policy = networks.policy;
             let proposals = Proposals::draw(policy_tape, policy, own, &columns.policy, sampling);
-            push_distinct(input, networks.critic, states, &proposals, &columns.critic);
-            let mut t = critic_tape.begin(networks.critic.parameters());
-            let values = networks.critic.layers().values(&mut t, input);
+            let own = (states, &*columns.critic);
+            let (t, values) = networks.critic.value(critic_tape, input, own, proposals.distinct());
             let best = best_of(&proposals, networks.critic, t.values(values));
             for (local, best) in best.into_iter().enumerate() {
                 proposals.write(best, &mut decided.best);
@@ -149,16 +148,9 @@ impl Decider {
         let per_state = allocations.len() / states.len().max(1);
         let mut values = Vec::new();
         for block in blocks(0..states.len()) {
-            input.clear();
-            for state in block {
-                input.begin_state(states);
-                let own = &allocations[state * per_state..][..per_state];
-                for allocation in own.chunks_exact(states.agents) {
-                    input.push(critic.shape(), states, state, allocation, &columns.critic);
-                }
-            }
-            let mut t = critic_tape.begin(critic.parameters());
-            let own = critic.layers().values(&mut t, input);
+            let own = block.map(|state| (state, &allocations[state * per_state..][..per_state]));
+            let columns = (states, &*columns.critic);
+            let (t, own) = critic.value(critic_tape, input, columns, own);
             values.extend_from_slice(t.values(own));
         }
         values
@@ -171,26 +163,6 @@ pub(super) fn blocks(range: Range<usize>) -> impl Iterator<Item = Range<usize>> 
     range.step_by(BLOCK).map(move |start| start..end.min(start + BLOCK))
 }
 
-/// Lists the distinct proposals of a block for the critic.
-pub(super) fn push_distinct(
-    input: &mut CriticInput,
-    critic: &AllocationCritic,
-    states: &States,
-    proposals: &Proposals<'_>,
-    columns: &[u8],
-) {
-    let mut allocation = Vec::with_capacity(states.agents);
-    input.clear();
-    for (local, state) in proposals.block.states.clone().enumerate() {
-        input.begin_state(states);
-        for whole in proposals.distinct(local) {
-            allocation.clear();
-            proposals.write(whole, &mut allocation);
-            input.push(critic.shape(), states, state, &allocation, columns);
-        }
-    }
-}
-
 /// The first of the best allocations of every state of a block, to whose distinct ones the critic gave
 /// these values, before PopArt's head.
 pub(super) fn best_of(
@@ -201,7 +173,7 @@ pub(super) fn best_of(
     let rises = critic.rises();
     let mut merits = values.iter().map(|raw| rises * raw);
     let best = |local| {
-        let all = proposals.distinct(local);
+        let all = proposals.distinct_of(local);
         let mut best = (all.start, f32::NEG_INFINITY);
         for (whole, merit) in all.zip(&mut merits) {
             if merit > best.1 {

@@ -5,7 +5,7 @@ use std::ops::Range;
 use sortie_nn::tape::Tape;
 
 use super::critic::CriticInput;
-use super::decide::{AllocationNetworks, best_of, blocks, push_distinct};
+use super::decide::{AllocationNetworks, best_of, blocks};
 use super::networks::AllocationCritic;
 use super::proposals::Proposals;
 use super::rows::Rows;
@@ -91,7 +91,7 @@ impl Lane {
         let AllocationNetworks { policy, critic } = networks;
         self.best.clear();
         self.values.clear();
-        zero(&mut self.policy_gradient, policy.parameters().len());
+        zero(&mut self.policy_gradient, policy.parameters.values.len());
         (self.surprise, self.entropy, self.operations) = (0.0, 0.0, 0);
         let entropy_weight = (learning.entropy / loss.proposals) as f32;
         let mut watch = Stopwatch::start();
@@ -103,9 +103,8 @@ impl Lane {
             let mut proposals =
                 Proposals::draw(policy_tape, policy, own, &columns.policy, sampling);
             self.times.proposals += watch.lap();
-            push_distinct(input, critic, states, &proposals, &columns.critic);
-            let mut t = critic_tape.begin(critic.parameters());
-            let values = critic.layers().values(&mut t, input);
+            let own = (states, &*columns.critic);
+            let (t, values) = critic.value(critic_tape, input, own, proposals.distinct());
             let found = best_of(&proposals, critic, t.values(values));
             self.operations += t.operations(false);
 
@@ -121,15 +120,9 @@ impl Lane {
             self.operations += proposals.t.operations(true);
             self.times.policy += watch.lap();
 
-            input.clear();
             let first = self.best.len() - block.len() * states.agents;
-            let allocations = self.best[first..].chunks_exact(states.agents);
-            for (row, allocation) in block.zip(allocations) {
-                input.begin_state(states);
-                input.push(target.shape(), states, row, allocation, &draws.target);
-            }
-            let mut t = critic_tape.begin(target.parameters());
-            let values = target.layers().values(&mut t, input);
+            let best = block.zip(self.best[first..].chunks_exact(states.agents));
+            let (t, values) = target.value(critic_tape, input, (states, &draws.target), best);
             self.values.extend(t.values(values).iter().map(|raw| target.real(*raw)));
             self.operations += t.operations(false);
             self.times.critic += watch.lap();
@@ -146,8 +139,8 @@ impl Lane {
         (targets, columns): (&[f64], &[u8]),
     ) {
         let mut watch = Stopwatch::start();
-        let (states, layers) = (&rows.states, critic.layers());
-        zero(&mut self.critic_gradient, critic.parameters().len());
+        let states = &rows.states;
+        zero(&mut self.critic_gradient, critic.parameters.values.len());
         self.squared_error = 0.0;
         for block in blocks(range) {
             // What does not count has no gradient either.
@@ -156,14 +149,9 @@ impl Lane {
             if counting.is_empty() {
                 continue;
             }
-            self.input.clear();
-            for row in &counting {
-                self.input.begin_state(states);
-                let allocation = states.allocation(*row);
-                self.input.push(critic.shape(), states, *row, allocation, columns);
-            }
-            let mut t = self.critic_tape.begin(critic.parameters());
-            let raw = layers.values(&mut t, &self.input);
+            let stored = counting.iter().map(|row| (*row, states.allocation(*row)));
+            let Self { critic_tape, input, .. } = self;
+            let (mut t, raw) = critic.value(critic_tape, input, (states, columns), stored);
             let mut slopes = Vec::with_capacity(counting.len());
             for (row, raw) in counting.iter().zip(t.values(raw)) {
                 let weight = loss.critic[*row];
@@ -172,7 +160,7 @@ impl Lane {
                 self.squared_error += error * error;
                 slopes.push((2.0 * weight * error / loss.critic_total) as f32);
             }
-            let values = layers.head(&mut t, raw);
+            let values = critic.layers.head(&mut t, raw);
             let loss = t.weighted_sum(values, &slopes);
             t.backward(loss, &mut self.critic_gradient);
             self.operations += t.operations(true);

@@ -17,7 +17,6 @@ use super::lane::{Lane, Loss};
 use super::networks::{AllocationCritic, AllocationPolicy};
 use super::rows::Rows;
 use super::{AllocationLearning, StepDraws};
-use crate::alma::windows::popart::PopArt;
 use crate::alma::windows::{AllocationTimes, Stopwatch, Windows};
 
 /// Into how many parts the rows of a step are cut.
@@ -59,37 +58,22 @@ pub struct LastStep {
     pub policy_gradient: Vec<f32>,
 }
 
-/// All that a checkpoint needs; the vectors are as long as the networks' parameters.
-#[derive(Clone, Debug, PartialEq)]
-pub struct AllocationState {
-    /// Parameters of the critic.
-    pub critic: Vec<f32>,
-    /// Statistics of its targets.
-    pub popart: PopArt,
-    /// Parameters of the target critic.
-    pub target: Vec<f32>,
-    /// Statistics of the target critic.
-    pub target_popart: PopArt,
-    /// Parameters of the policy.
-    pub policy: Vec<f32>,
-    /// Running mean of the critic's squared gradient.
-    pub critic_square: Vec<f32>,
-    /// Running mean of the policy's squared gradient.
-    pub policy_square: Vec<f32>,
-}
-
-/// Critic, policy, target critic, optimisers, and the buffers of a step.
+/// Critic, policy, target critic, optimisers, and the buffers of a step. All state is open, to be saved and restored.
 #[derive(Clone, Debug)]
 pub struct AllocationLevel {
-    learning: AllocationLearning,
-    critic: AllocationCritic,
-    policy: AllocationPolicy,
+    /// How it learns.
+    pub learning: AllocationLearning,
+    /// Values allocations.
+    pub critic: AllocationCritic,
+    /// Proposes some.
+    pub policy: AllocationPolicy,
     /// Values what comes next. The public code copies the policy too, and never uses the copy.
-    target: AllocationCritic,
-    critic_optimiser: RmsProp,
-    policy_optimiser: RmsProp,
+    pub target: AllocationCritic,
+    /// The optimisers of critic and policy.
+    pub optimisers: [RmsProp; 2],
     lanes: Vec<Lane>,
-    last: LastStep,
+    /// What the last step was computed from.
+    pub last: LastStep,
     optimiser_time: Duration,
 }
 
@@ -112,8 +96,8 @@ impl AllocationLevel {
     ) -> Self {
         Self {
             learning,
-            critic_optimiser: RmsProp::new(critic.parameters().len()),
-            policy_optimiser: RmsProp::new(policy.parameters().len()),
+            optimisers: [&critic.parameters, &policy.parameters]
+                .map(|parameters| RmsProp::new(parameters.values.len())),
             critic,
             policy,
             target,
@@ -123,19 +107,9 @@ impl AllocationLevel {
         }
     }
 
-    /// How it learns.
-    pub fn learning(&self) -> &AllocationLearning {
-        &self.learning
-    }
-
     /// The networks that decide.
     pub fn networks(&self) -> AllocationNetworks<'_> {
         AllocationNetworks { policy: &self.policy, critic: &self.critic }
-    }
-
-    /// What the last step was computed from.
-    pub fn last_step(&self) -> &LastStep {
-        &self.last
     }
 
     /// How long the parts of all steps have taken up to now.
@@ -154,34 +128,6 @@ impl AllocationLevel {
     /// Lets the target critic be what the critic is.
     pub fn copy_target(&mut self) {
         self.target.clone_from(&self.critic);
-    }
-
-    /// A copy of all that is learned.
-    pub fn state(&self) -> AllocationState {
-        AllocationState {
-            critic: self.critic.parameters().to_vec(),
-            popart: self.critic.popart,
-            target: self.target.parameters().to_vec(),
-            target_popart: self.target.popart,
-            policy: self.policy.parameters().to_vec(),
-            critic_square: self.critic_optimiser.square.clone(),
-            policy_square: self.policy_optimiser.square.clone(),
-        }
-    }
-
-    /// Continues from what was learned, or `None` where a vector has the wrong length.
-    pub fn restore(learning: AllocationLearning, state: AllocationState) -> Option<Self> {
-        let shape = learning.shape;
-        let fits = |vector: &[f32], count: usize| (vector.len() == count).then_some(());
-        fits(&state.critic_square, AllocationCritic::count(shape))?;
-        fits(&state.policy_square, AllocationPolicy::count(shape))?;
-        let critic = AllocationCritic::from_parameters(shape, state.critic, state.popart)?;
-        let target = AllocationCritic::from_parameters(shape, state.target, state.target_popart)?;
-        let policy = AllocationPolicy::from_parameters(shape, state.policy)?;
-        let mut level = Self::with_networks(learning, critic, policy, target);
-        level.critic_optimiser.square = state.critic_square;
-        level.policy_optimiser.square = state.policy_square;
-        Some(level)
     }
 
     /// Takes one step on both networks, `now` environment steps into the run.
@@ -267,8 +213,9 @@ impl AllocationLevel {
         let critic_norm = clip_norm(critic_gradient, limit);
         let policy_norm = clip_norm(policy_gradient, limit);
         let rate = self.learning.learning_rate;
-        self.critic_optimiser.step(self.critic.parameters_mut(), critic_gradient, rate);
-        self.policy_optimiser.step(self.policy.parameters_mut(), policy_gradient, rate);
+        let [of_critic, of_policy] = &mut self.optimisers;
+        of_critic.step(&mut self.critic.parameters.values, critic_gradient, rate);
+        of_policy.step(&mut self.policy.parameters.values, policy_gradient, rate);
         self.optimiser_time += watch.lap();
         let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>();
         AllocationReport {

@@ -16,7 +16,7 @@ use sortie_learn::random::{Purpose, generator};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Pass, Tape, Var};
 
-use super::block::Block;
+use super::block::{Block, NONE};
 use super::networks::{AllocationPolicy, PolicyLayers};
 use super::rows::States;
 use super::tree::{Asked, IMPOSSIBLE, Prefix, Team, Tree, is_possible};
@@ -50,10 +50,8 @@ struct Vectors {
     updates: Var,
     /// `[teams, E]`
     teams: Var,
-    team_count: usize,
     /// `[products, E]`: what is added to the vectors of these teams, whoever joins.
     products: Option<Var>,
-    product_count: usize,
 }
 
 impl PolicyLayers {
@@ -85,8 +83,7 @@ impl PolicyLayers {
         let updates = t.linear(rectified, self.update_agent);
         let counts = t.parameter(self.count, [3, width]);
         let counts = t.product_transposed(agents, counts);
-        let team_count = block.open_count();
-        Vectors { agents, counts, updates, teams, team_count, products: None, product_count: 0 }
+        Vectors { agents, counts, updates, teams, products: None }
     }
 
     /// The logits `[prefixes T, 1]` of the choices that are asked for.
@@ -110,11 +107,12 @@ impl PolicyLayers {
 
     /// Computes the vectors of all teams that arose since the last call.
     fn grow(self, t: &mut Pass<'_>, vectors: &mut Vectors, tree: &Tree) {
-        let new = &tree.teams[vectors.team_count..];
+        let new = &tree.teams[t.size(vectors.teams)[0]..];
         if new.is_empty() {
             return;
         }
-        let products_of = &tree.products_of[vectors.product_count..];
+        let known = vectors.products.map_or(0, |products| t.size(products)[0]);
+        let products_of = &tree.products_of[known..];
         if !products_of.is_empty() {
             let before = t.gather(vectors.teams, products_of);
             let rectified = t.relu(before);
@@ -135,8 +133,6 @@ impl PolicyLayers {
         let sum = t.add(sum, products);
         let sum = t.add(sum, updates);
         vectors.teams = t.stack(&[vectors.teams, sum]);
-        vectors.team_count = tree.teams.len();
-        vectors.product_count = tree.products_of.len();
     }
 }
 
@@ -160,10 +156,10 @@ impl<'a> Proposals<'a> {
         columns: &[u8],
         (proposals, noise): (usize, Noise<'_>),
     ) -> Self {
-        let layers = policy.layers();
-        let block = Block::of(policy.shape(), states, range.clone(), columns);
+        let layers = policy.layers;
+        let block = Block::of(policy.shape, states, range.clone(), columns);
         let tree = Tree::begin(&block, proposals);
-        let t = tape.begin(policy.parameters());
+        let t = tape.begin(&policy.parameters.values);
         let mut own = Self { t, block, tree, chances: Vec::new(), proposals };
         let mut vectors = layers.begin(&mut own.t, &own.block);
         let mut generators: Vec<Generator> = match noise {
@@ -181,7 +177,6 @@ impl<'a> Proposals<'a> {
             let logits = layers.logits(t, &vectors, &tree.teams, &asked);
             let logits = t.reshape(logits, block.tasks);
             let choices = t.log_softmax(logits);
-            tree.note(prefixes.clone(), t.values(choices));
             chances.push(choices);
             (0..own.block.len()).for_each(|local| own.choose(local, level, noise, &mut generators));
             layers.grow(&mut own.t, &mut vectors, &own.tree);
@@ -198,16 +193,18 @@ impl<'a> Proposals<'a> {
         noise: Noise<'_>,
         generators: &mut [Generator],
     ) {
-        let Self { block, tree, proposals, .. } = self;
+        let Self { t, block, tree, chances: by_level, proposals } = self;
         let levels = block.levels[local];
         if level >= levels {
             return;
         }
         let agent = usize::from(block.slots[local * block.agents + level]);
-        let row = block.agent(local as u32, level as u32);
+        let (agent_row, follows) = (block.agent(local as u32, level as u32), level + 1 < levels);
+        let all = t.values(by_level[level]);
         for proposal in 0..*proposals {
             let index = local * *proposals + proposal;
-            let chances = tree.log_probabilities(tree.at[index] as usize);
+            let row = tree.prefixes[tree.at[index] as usize].row as usize;
+            let chances = &all[row * block.tasks..][..block.tasks];
             let own = (block.states.start * *proposals + index) * block.agents + agent;
             let task = match noise {
                 Noise::Seeded { greedy_first: true, .. } if proposal == 0 => {
@@ -220,12 +217,21 @@ impl<'a> Proposals<'a> {
                 }
                 Noise::Given(allocations) => usize::from(allocations[own]),
             };
-            tree.choose(index, task, row, level + 1 < levels);
+            tree.choose(index, (task, chances[task]), (agent_row, follows));
         }
     }
 
+    /// Every state of the block with its distinct allocations `[K, A]`.
+    pub(super) fn distinct(&self) -> impl Iterator<Item = (usize, Vec<u8>)> {
+        self.block.states.clone().enumerate().map(|(local, state)| {
+            let mut allocations = Vec::new();
+            self.distinct_of(local).for_each(|whole| self.write(whole, &mut allocations));
+            (state, allocations)
+        })
+    }
+
     /// The distinct allocations of a state of the block.
-    pub(super) fn distinct(&self, local: usize) -> Range<u32> {
+    pub(super) fn distinct_of(&self, local: usize) -> Range<u32> {
         // Whole prefixes of a state stand behind each other, as they arise together.
         let at = &self.tree.at[local * self.proposals..][..self.proposals];
         let first = at.iter().min().copied().unwrap_or(0);
@@ -255,16 +261,23 @@ impl<'a> Proposals<'a> {
 
     /// The sum of the entropies of all proposals of all states of the block.
     pub(super) fn entropy(&self) -> f64 {
-        let own = |(index, prefix): (usize, &Prefix)| {
-            f64::from(prefix.count) * f64::from(entropy(self.tree.log_probabilities(index)))
+        let asked = self.tree.prefixes.iter().filter(|prefix| prefix.row != NONE);
+        let own = |prefix: &Prefix| {
+            f64::from(prefix.count) * f64::from(entropy(self.log_probabilities(prefix)))
         };
-        self.tree.prefixes.iter().enumerate().map(own).sum()
+        asked.map(own).sum()
     }
 
     /// The entropy of one allocation's choices, summed over its agents.
     pub(super) fn entropy_of(&self, whole: u32) -> f32 {
         let parents = self.tree.way_back(whole).map(|prefix| prefix.parent as usize);
-        parents.map(|parent| entropy(self.tree.log_probabilities(parent))).sum()
+        parents.map(|parent| entropy(self.log_probabilities(&self.tree.prefixes[parent]))).sum()
+    }
+
+    /// The log-probabilities `[T]` of the choices behind a prefix that asked for them.
+    fn log_probabilities(&self, prefix: &Prefix) -> &[f32] {
+        let all = self.t.values(self.chances[prefix.level as usize]);
+        &all[prefix.row as usize * self.block.tasks..][..self.block.tasks]
     }
 
     /// Adds to `gradient` (all parameters) the gradient of

@@ -4,7 +4,7 @@
 use sortie_envs::Observation;
 use sortie_nn::layers::SparseRows;
 
-use crate::alma::windows::{NO_TASK, Windows};
+use crate::alma::windows::{NO_TASK, WindowShape, Windows};
 
 /// What counts of agents and of other entities are multiplied by.
 pub(super) const COUNT_SCALE: f32 = 0.2;
@@ -89,19 +89,10 @@ impl Rows {
     }
 
     fn begin_row(&mut self, windows: &Windows, state: usize, first_of_episode: bool) {
-        let shape = windows.shape;
-        let entities = state * shape.entities..(state + 1) * shape.entities;
-        let agents = state * shape.agents..(state + 1) * shape.agents;
-        let nobody = vec![NO_TASK; shape.agents];
-        let last = if first_of_episode { &nobody } else { &windows.last_allocation[agents] };
-        self.states.push(StateView {
-            features: &windows.features,
-            first_row: entities.start,
-            present: &windows.present[entities.clone()],
-            entity_task: &windows.entity_task[entities],
-            open: &windows.open[state * shape.tasks..][..shape.tasks],
-            last_allocation: last,
-        });
+        let agents = windows.shape.agents;
+        let nobody = vec![NO_TASK; agents];
+        let before = &windows.last_allocation[state * agents..][..agents];
+        self.states.push(windows, state, if first_of_episode { &nobody } else { before });
         self.reward.push(0.0);
         self.terminated.push(false);
         self.mask.push(windows.has_transition[state]);
@@ -111,24 +102,6 @@ impl Rows {
 fn age_weight(now: u64, added: u64, rules: &RowRules) -> f32 {
     let age = now.saturating_sub(added) as f32;
     ((rules.age_limit - age) / rules.age_limit).max(0.0)
-}
-
-/// One state as plain slices. N entities, of which the first A are the agents; T subtasks.
-#[derive(Clone, Copy, Debug)]
-pub struct StateView<'a> {
-    /// Rows of features, of which N from `first_row` on belong to this state.
-    pub features: &'a SparseRows,
-    /// The row of entity 0.
-    pub first_row: usize,
-    /// `[N]`: the entities that exist.
-    pub present: &'a [bool],
-    /// `[N]`: the subtask of every entity or [`NO_TASK`]. Those of agents are the allocation to be valued;
-    /// where agents are to be allocated they do not matter.
-    pub entity_task: &'a [u8],
-    /// `[T]`: the subtasks that exist and are not finished.
-    pub open: &'a [bool],
-    /// `[A]`: the allocation that was in force before; all [`NO_TASK`] at the beginning of an episode.
-    pub last_allocation: &'a [u8],
 }
 
 /// Any number of states of the same sizes, row-major with the states in front.
@@ -150,29 +123,21 @@ impl States {
         Self { agents, entities, tasks, ..Self::default() }
     }
 
-    /// Forgets all states, keeps the memory.
-    pub fn clear(&mut self) {
-        self.features.clear();
-        self.present.clear();
-        self.entity_task.clear();
-        self.open.clear();
-        self.last_allocation.clear();
-    }
-
-    /// Adds a state. Panics if a slice has another length than the sizes say.
-    pub fn push(&mut self, state: StateView<'_>) {
-        assert_eq!(state.present.len(), self.entities, "entities");
-        assert_eq!(state.entity_task.len(), self.entities, "entities with tasks");
-        assert_eq!(state.open.len(), self.tasks, "subtasks");
-        assert_eq!(state.last_allocation.len(), self.agents, "agents");
-        for row in state.first_row..state.first_row + self.entities {
-            state.features.row(row).for_each(|(column, value)| self.features.push(column, value));
+    /// Adds a state of some windows, with the allocation `[A]` that was in force before, all [`NO_TASK`] at the beginning of an
+    /// episode. Panics if it has other sizes.
+    pub fn push(&mut self, windows: &Windows, state: usize, last_allocation: &[u8]) {
+        let WindowShape { entities, tasks, .. } = windows.shape;
+        assert_eq!((entities, tasks), (self.entities, self.tasks), "entities and subtasks");
+        assert_eq!(last_allocation.len(), self.agents, "agents");
+        let rows = state * entities..(state + 1) * entities;
+        for row in rows.clone() {
+            self.features.push_row(&windows.features, row);
             self.features.end_row();
         }
-        self.present.extend_from_slice(state.present);
-        self.entity_task.extend_from_slice(state.entity_task);
-        self.open.extend_from_slice(state.open);
-        self.last_allocation.extend_from_slice(state.last_allocation);
+        self.present.extend_from_slice(&windows.present[rows.clone()]);
+        self.entity_task.extend_from_slice(&windows.entity_task[rows]);
+        self.open.extend_from_slice(&windows.open[state * tasks..][..tasks]);
+        self.last_allocation.extend_from_slice(last_allocation);
     }
 
     /// Adds a state of which everything was observed, with the allocation `[A]` that was in force before. Panics if it
@@ -226,8 +191,7 @@ impl States {
 
     /// Copies an entity's features into a row that is not closed yet.
     pub(super) fn copy_features(&self, state: usize, entity: usize, to: &mut SparseRows) {
-        let row = self.features.row(state * self.entities + entity);
-        row.for_each(|(column, value)| to.push(column, value));
+        to.push_row(&self.features, state * self.entities + entity);
     }
 
     /// Entities of a task that are no agents, present or not.
@@ -245,7 +209,6 @@ pub(super) fn team_size(allocation: &[u8], task: u8) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::windows::WindowShape;
 
     const RULES: RowRules = RowRules { interval: 2.0, most: 400, age_limit: 100.0 };
 

@@ -5,18 +5,17 @@ use std::ops::Range;
 use rand_core::Rng;
 use sortie_envs::random::{below, chance};
 use sortie_nn::gradient_check::{assert_gradient, random};
-use sortie_nn::layers::SparseRows;
 use sortie_nn::random::Generator;
-use sortie_nn::tape::Tape;
+use sortie_nn::tape::{Parameters, Tape, Tensor};
 
 use super::critic::CriticInput;
 use super::networks::{AllocationCritic, AllocationPolicy};
 use super::proposals::{Noise, Proposals};
 use super::{
     AllocationLearning, AllocationLevel, AllocationNetworks, AllocationShape, Decider, RowRules,
-    StateView, States, StepDraws, TaskColumns,
+    States, StepDraws, TaskColumns,
 };
-use crate::alma::windows::{NO_TASK, WindowShape, Windows};
+use crate::alma::windows::{Config, NO_TASK, WindowShape, Windows};
 use sortie_learn::random::{Purpose, generator};
 
 const AGENTS: usize = 3;
@@ -27,33 +26,52 @@ const SHAPE: AllocationShape = AllocationShape { features: 4, columns: 4, width:
 const STATES: usize = 13;
 
 /// States with absent entities, closed subtasks, and subtasks of none, one and several entities.
-fn some_states() -> States {
+fn some_windows() -> Windows {
     let mut random = generator(5, Purpose::Rollout, 0);
-    let mut states = States::new(AGENTS, ENTITIES, TASKS);
+    let mut windows = Windows::new(WindowShape {
+        windows: STATES,
+        steps: 1,
+        agents: AGENTS,
+        entities: ENTITIES,
+        tasks: TASKS,
+        actions: 1,
+        features: SHAPE.features,
+    });
+    windows.features.clear();
     for index in 0..STATES {
-        let mut features = SparseRows::default();
         for row in self::random(index as u64, ENTITIES * SHAPE.features).chunks(SHAPE.features) {
-            features.push_dense(row);
+            windows.features.push_dense(row);
         }
         let task = |random: &mut Generator| match below(random, TASKS + 1) {
             TASKS => NO_TASK,
             task => task as u8,
         };
-        let present: Vec<bool> = (0..ENTITIES).map(|_| chance(&mut random, 0.8)).collect();
-        let entity_task: Vec<u8> = (0..ENTITIES).map(|_| task(&mut random)).collect();
-        let last: Vec<u8> = (0..AGENTS).map(|_| task(&mut random)).collect();
+        let present = &mut windows.present[index * ENTITIES..][..ENTITIES];
+        present.fill_with(|| chance(&mut random, 0.8));
+        windows.entity_task[index * ENTITIES..][..ENTITIES].fill_with(|| task(&mut random));
+        windows.last_allocation[index * AGENTS..][..AGENTS].fill_with(|| task(&mut random));
         // In one state nobody can be allocated at all.
-        let open: Vec<bool> = (0..TASKS).map(|_| chance(&mut random, 0.8) && index != 3).collect();
-        states.push(StateView {
-            features: &features,
-            first_row: 0,
-            present: &present,
-            entity_task: &entity_task,
-            open: &open,
-            last_allocation: &last,
-        });
+        let open = &mut windows.open[index * TASKS..][..TASKS];
+        open.fill_with(|| chance(&mut random, 0.8) && index != 3);
+    }
+    windows
+}
+
+/// Some of these states.
+fn states_of(range: Range<usize>) -> States {
+    let (windows, mut states) = (some_windows(), States::new(AGENTS, ENTITIES, TASKS));
+    for state in range {
+        states.push(&windows, state, &windows.last_allocation[state * AGENTS..][..AGENTS]);
     }
     states
+}
+
+fn some_states() -> States {
+    states_of(0..STATES)
+}
+
+fn one_state(state: usize) -> States {
+    states_of(state..state + 1)
 }
 
 /// Every allocation of present agents to open subtasks.
@@ -73,19 +91,6 @@ fn all_allocations(states: &States, state: usize) -> Vec<u8> {
     all.concat()
 }
 
-fn one_state(states: &States, state: usize) -> States {
-    let mut one = States::new(AGENTS, ENTITIES, TASKS);
-    one.push(StateView {
-        features: &states.features,
-        first_row: state * ENTITIES,
-        present: states.present(state),
-        entity_task: states.entity_task(state),
-        open: states.open(state),
-        last_allocation: states.last_allocation(state),
-    });
-    one
-}
-
 fn columns() -> TaskColumns {
     TaskColumns { policy: vec![3, 0, 1], critic: vec![2, 3, 0] }
 }
@@ -97,7 +102,7 @@ fn probabilities_of_all_allocations_sum_to_one() {
     let mut decider = Decider::default();
     for state in (0..STATES).filter(|state| states.open(*state).contains(&true)) {
         let all = all_allocations(&states, state);
-        let one = one_state(&states, state);
+        let one = one_state(state);
         let sampling = (all.len() / AGENTS, Noise::Given(&all));
         let proposed = decider.propose(&policy, &one, &columns(), sampling);
         assert_eq!(proposed.allocations, all);
@@ -112,9 +117,10 @@ fn the_best_proposal_has_the_highest_value_behind_the_head() {
     let policy = AllocationPolicy::initialise(SHAPE, &mut generator(1, Purpose::Weights, 0));
     let start = AllocationCritic::initialise(SHAPE, &mut generator(2, Purpose::Weights, 0));
     let critic = |head: f32| {
-        let mut weights = start.weights();
-        (weights.popart_weight, weights.popart_bias, weights.deviation) = (head, 0.3, 2.0);
-        AllocationCritic::from_weights(&weights).unwrap()
+        let mut critic = start.clone();
+        let (weight, bias) = critic.head_mut();
+        (weight[0], bias[0], critic.popart.variance) = (head, 0.3, 4.0);
+        critic
     };
     let mut chosen = Vec::new();
     for head in [1.5, -1.5, 0.0] {
@@ -140,7 +146,7 @@ fn the_best_proposal_has_the_highest_value_behind_the_head() {
 
 #[test]
 fn choices_are_drawn_as_often_as_they_are_likely() {
-    let one = one_state(&some_states(), 1);
+    let one = one_state(1);
     let policy = AllocationPolicy::initialise(SHAPE, &mut generator(1, Purpose::Weights, 0));
     let mut decider = Decider::default();
     const DRAWS: usize = 20_000;
@@ -174,7 +180,7 @@ fn states_do_not_see_each_other() {
     let together = decider.propose(&policy, &states, &columns(), (4, Noise::Gumbel(&noise)));
     let values = decider.value(&critic, &states, &columns(), &together.allocations);
     for state in 0..STATES {
-        let one = one_state(&states, state);
+        let one = one_state(state);
         let own = Noise::Gumbel(&noise[state * 4 * AGENTS * TASKS..][..4 * AGENTS * TASKS]);
         let alone = decider.propose(&policy, &one, &columns(), (4, own));
         assert_eq!(alone.allocations, together.allocations[state * 4 * AGENTS..][..4 * AGENTS]);
@@ -185,27 +191,14 @@ fn states_do_not_see_each_other() {
     }
 }
 
-/// The places of tensors that stand behind each other.
-fn places<const COUNT: usize>(
-    names: [&'static str; COUNT],
-    tensors: [(usize, usize); COUNT],
-) -> Vec<(&'static str, Range<usize>)> {
-    let mut end = 0;
-    let place = |(name, (length, _))| {
-        end += length;
-        (name, end - length..end)
-    };
-    names.into_iter().zip(tensors).map(place).collect()
-}
-
 /// Checks the gradient of every tensor on its own.
 fn assert_gradients(
-    tensors: &[(&'static str, Range<usize>)],
+    tensors: &[Tensor],
     parameters: &[f32],
     gradient: &[f32],
     loss: impl Fn(&[f32]) -> f64,
 ) {
-    for (name, range) in tensors {
+    for Tensor { name, range, .. } in tensors {
         assert_gradient(name, &parameters[range.clone()], &gradient[range.clone()], |part| {
             let mut moved = parameters.to_vec();
             moved[range.clone()].copy_from_slice(part);
@@ -219,7 +212,7 @@ fn the_policy_s_gradient_agrees_with_finite_differences() {
     let states = some_states();
     let mut policy = AllocationPolicy::initialise(SHAPE, &mut generator(2, Purpose::Weights, 0));
     // Larger weights than usual: slopes well above the rounding of the loss.
-    policy.parameters_mut().iter_mut().for_each(|weight| *weight *= 2.0);
+    policy.parameters.values.iter_mut().for_each(|weight| *weight *= 2.0);
     const PROPOSALS: usize = 6;
     let mut decider = Decider::default();
     let noise = Noise::Seeded { seed: 1, greedy_first: false };
@@ -228,8 +221,8 @@ fn the_policy_s_gradient_agrees_with_finite_differences() {
     let weights = random(4, STATES);
     const ENTROPY: f32 = 0.3;
     let loss = |parameters: &[f32]| {
-        let policy =
-            AllocationPolicy::from_parameters(SHAPE, parameters.to_vec()).expect("as many");
+        let mut policy = policy.clone();
+        policy.parameters.values.copy_from_slice(parameters);
         let got = Decider::default().propose(&policy, &states, &columns(), fixed);
         let surprise = got.log_probabilities.chunks(PROPOSALS).zip(&weights);
         let surprise = surprise.map(|(logs, weight)| -f64::from(weight * logs[1])).sum::<f64>();
@@ -239,27 +232,14 @@ fn the_policy_s_gradient_agrees_with_finite_differences() {
     let (mut tape, block) = (Tape::default(), (&states, 0..STATES));
     let mut pass = Proposals::draw(&mut tape, &policy, block, &columns().policy, fixed);
     let best: Vec<(u32, f32)> = (0..STATES).map(|s| (pass.of_proposal(s, 1), weights[s])).collect();
-    let mut gradient = vec![0.0; policy.parameters().len()];
+    let mut gradient = vec![0.0; policy.parameters.values.len()];
     pass.descend(&best, ENTROPY, &mut gradient);
 
-    let names = [
-        "features",
-        "task columns",
-        "embedding bias",
-        "queries, keys and values",
-        "out",
-        "out bias",
-        "counts",
-        "count bias",
-        "update of the task",
-        "update of the agent",
-        "update bias",
-    ];
-    let mut tensors = places(names, AllocationPolicy::tensors(SHAPE));
+    let mut tensors = policy.parameters.tensors().to_vec();
     // What is the same for all choices of an agent changes none: the bias of the counts has no slope of its own.
-    let (_, bias) = tensors.remove(7);
-    tensors[6].1.end = bias.end;
-    assert_gradients(&tensors, policy.parameters(), &gradient, loss);
+    let bias = tensors.iter().position(|tensor| tensor.name == "count.bias").unwrap();
+    tensors[bias - 1].range.end = tensors.remove(bias).range.end;
+    assert_gradients(&tensors, &policy.parameters.values, &gradient, loss);
 }
 
 #[test]
@@ -279,35 +259,21 @@ fn the_critic_s_gradient_agrees_with_finite_differences() {
     let loss = |parameters: &[f32]| {
         let mut tape = Tape::default();
         let mut t = tape.begin(parameters);
-        let values = critic.layers().values(&mut t, &input);
-        let values = critic.layers().head(&mut t, values);
+        let values = critic.layers.values(&mut t, &input);
+        let values = critic.layers.head(&mut t, values);
         let terms = t.values(values).iter().zip(&slopes);
         terms.map(|(value, d)| f64::from(*value) * f64::from(*d)).sum()
     };
     let mut tape = Tape::default();
-    let mut t = tape.begin(critic.parameters());
-    let values = critic.layers().values(&mut t, &input);
-    let values = critic.layers().head(&mut t, values);
+    let mut t = tape.begin(&critic.parameters.values);
+    let values = critic.layers.values(&mut t, &input);
+    let values = critic.layers.head(&mut t, values);
     let sum = t.weighted_sum(values, &slopes);
-    let mut gradient = vec![0.0; critic.parameters().len()];
+    let mut gradient = vec![0.0; critic.parameters.values.len()];
     t.backward(sum, &mut gradient);
 
-    let names = [
-        "features",
-        "task columns",
-        "counts",
-        "count bias",
-        "embedding bias",
-        "queries, keys and values",
-        "out",
-        "out bias",
-        "value",
-        "value bias",
-        "head",
-        "head bias",
-    ];
-    let tensors = places(names, AllocationCritic::tensors(SHAPE));
-    assert_gradients(&tensors, critic.parameters(), &gradient, loss);
+    let Parameters { values, .. } = &critic.parameters;
+    assert_gradients(critic.parameters.tensors(), values, &gradient, loss);
 }
 
 /// Windows of episodes of one decision, allocated at random: an agent is worth 1 at the subtask of its kind.
@@ -354,7 +320,9 @@ fn agents_learn_to_go_where_they_belong() {
         proposals: 8,
         rows: RowRules { interval: 1.0, most: 100, age_limit: 1e6 },
         learning_rate: 5e-3,
-        ..AllocationLearning::published(shape, 1.0)
+        shape,
+        ..Config::default()
+            .allocation_learning(matching(&mut generator(2, Purpose::Rollout, 0), 1).shape)
     };
     let mut level = AllocationLevel::new(learning, 1);
     let mut random = generator(1, Purpose::Rollout, 0);
@@ -375,7 +343,7 @@ fn agents_learn_to_go_where_they_belong() {
         }
     }
     assert!(surprise[149] < 0.5 * surprise[0], "the policy proposes what is best: {surprise:?}");
-    let last = level.last_step();
+    let last = &level.last;
     let (mut best, mut rows) = (0, 0);
     for row in 0..last.rows.len() {
         let kind = |entity: usize| last.rows.states.features.row(row * 5 + entity).next();

@@ -64,8 +64,6 @@ pub(super) struct Tree {
     pub(super) prefixes: Vec<Prefix>,
     /// `[prefixes, T]`: the team at each subtask.
     teams_of: Vec<u32>,
-    /// `[prefixes, T]`: log-probabilities of the next agent's choices.
-    log_probabilities: Vec<f32>,
     /// `[prefixes, T]`: the longer prefix after each choice, or [`NONE`].
     longer: Vec<u32>,
     /// `[states, P]`: how far each proposal has come.
@@ -101,7 +99,6 @@ impl Tree {
         self.prefixes.push(prefix);
         extend_teams(&mut self.teams_of);
         let length = self.prefixes.len() * self.tasks;
-        self.log_probabilities.resize(length, IMPOSSIBLE);
         self.longer.resize(length, NONE);
         index
     }
@@ -147,25 +144,14 @@ impl Tree {
         asked
     }
 
-    /// Notes the log-probabilities `[prefixes, T]` of the choices of those that asked.
-    pub(super) fn note(&mut self, prefixes: Range<usize>, chances: &[f32]) {
-        for index in prefixes {
-            let (tasks, row) = (self.tasks, self.prefixes[index].row);
-            if row != NONE {
-                let own = &mut self.log_probabilities[index * tasks..][..tasks];
-                own.copy_from_slice(&chances[row as usize * tasks..][..tasks]);
-            }
-        }
-    }
-
-    /// The log-probabilities `[T]` of the choices behind a prefix.
-    pub(super) fn log_probabilities(&self, prefix: usize) -> &[f32] {
-        &self.log_probabilities[prefix * self.tasks..][..self.tasks]
-    }
-
-    /// Leads a proposal on by the choice for an agent; where nobody has chosen so before, the agent joins the team, if
-    /// others `follow` who see it there.
-    pub(super) fn choose(&mut self, proposal: usize, task: usize, agent: u32, follow: bool) {
+    /// Leads a proposal on by the choice for an agent, whose logarithm of a probability this is; where nobody has chosen so
+    /// before, the agent joins the team, if others `follow` who see it there.
+    pub(super) fn choose(
+        &mut self,
+        proposal: usize,
+        (task, chance): (usize, f32),
+        (agent, follow): (u32, bool),
+    ) {
         let from = self.at[proposal] as usize;
         let place = from * self.tasks + task;
         if self.longer[place] == NONE {
@@ -179,7 +165,7 @@ impl Tree {
                 task: task as u8,
                 count: 0,
                 row: NONE,
-                log_probability: log_probability + self.log_probabilities[place],
+                log_probability: log_probability + chance,
             };
             let tasks = self.tasks;
             self.longer[place] = self.push(longer, |teams| {

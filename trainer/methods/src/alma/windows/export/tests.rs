@@ -1,4 +1,7 @@
+use sortie_learn::random::{Purpose, generator};
+
 use super::*;
+use crate::alma::agents::transpose;
 
 const SHAPE: AllocationShape = AllocationShape { features: 7, columns: 3, width: 16, heads: 2 };
 
@@ -12,39 +15,46 @@ fn numbers(seed: u32) -> impl FnMut(usize) -> Vec<f32> {
     move |count| (0..count).map(|_| next()).collect()
 }
 
-fn networks(shape: AllocationShape) -> (PolicyWeights, CriticWeights) {
-    let AllocationShape { features, columns, width, .. } = shape;
-    let mut tensor = numbers(5);
-    let policy = PolicyWeights {
-        shape,
-        entity_weight: tensor(width * features),
-        entity_bias: tensor(width),
-        task_weight: tensor(width * columns),
-        attention_in_weight: tensor(3 * width * width),
-        attention_out_weight: tensor(width * width),
-        attention_out_bias: tensor(width),
-        count_weight: tensor(width * 2),
-        count_bias: tensor(width),
-        update_weight: tensor(width * 2 * width),
-        update_bias: tensor(width),
-    };
-    let critic = CriticWeights {
-        shape,
-        entity_weight: tensor(width * features),
-        entity_bias: tensor(width),
-        task_weight: tensor(width * columns),
-        count_weight: tensor(width * 2),
-        count_bias: tensor(width),
-        attention_in_weight: tensor(3 * width * width),
-        attention_out_weight: tensor(width * width),
-        attention_out_bias: tensor(width),
-        value_weight: tensor(width),
-        value_bias: tensor(1),
-        popart_weight: 0.75,
-        popart_bias: -0.5,
-        mean: 2.0,
-        deviation: 3.0,
-    };
+/// Fills parameters with such numbers, in the order and in the layouts of PyTorch.
+fn fill(parameters: &mut Parameters, names: &[&str], mut tensor: impl FnMut(usize) -> Vec<f32>) {
+    let width = SHAPE.width;
+    for name in names {
+        let own = parameters.tensors().iter().find(|tensor| tensor.name == *name);
+        let range = own.expect(name).range.clone();
+        let drawn = tensor(range.len());
+        let is_turned = ["entity.weight", "task.weight", "count.weight"].contains(name);
+        let drawn = if is_turned { transpose(&drawn, width, drawn.len() / width) } else { drawn };
+        parameters.values[range].copy_from_slice(&drawn);
+    }
+}
+
+/// Tensors of both networks, as they are drawn.
+const ENTITIES: [&str; 3] = ["entity.weight", "entity.bias", "task.weight"];
+const ATTENTION: [&str; 3] = ["attention.in.weight", "attention.out.weight", "attention.out.bias"];
+const COUNTS: [&str; 2] = ["count.weight", "count.bias"];
+
+fn networks(shape: AllocationShape) -> (AllocationPolicy, AllocationCritic) {
+    let (random, mut tensor) = (&mut generator(1, Purpose::Weights, 0), numbers(5));
+    let mut policy = AllocationPolicy::initialise(shape, random);
+    for part in [&ENTITIES[..], &ATTENTION, &COUNTS] {
+        fill(&mut policy.parameters, part, &mut tensor);
+    }
+    let update = tensor(2 * shape.width * shape.width);
+    for (half, name) in ["update.task.weight", "update.agent.weight"].iter().enumerate() {
+        let rows = update.chunks(shape.width).skip(half).step_by(2);
+        fill(&mut policy.parameters, &[name], |_| rows.clone().flatten().copied().collect());
+    }
+    fill(&mut policy.parameters, &["update.agent.bias"], &mut tensor);
+    let mut critic = AllocationCritic::initialise(shape, random);
+    for part in [&ENTITIES[..], &COUNTS, &ATTENTION] {
+        fill(&mut critic.parameters, part, &mut tensor);
+    }
+    fill(&mut critic.parameters, &["value.weight", "value.bias"], &mut tensor);
+    let mut head = [0.75, -0.5].into_iter();
+    fill(&mut critic.parameters, &["head.weight", "head.bias"], |_| {
+        head.next().into_iter().collect()
+    });
+    (critic.popart.mean, critic.popart.variance) = (2.0, 9.0);
     (policy, critic)
 }
 
@@ -65,14 +75,10 @@ fn networks_become_the_recorded_files() {
 
 #[test]
 fn what_does_not_fit_is_refused() {
-    let (mut policy, critic) = networks(SHAPE);
-    policy.update_weight.pop();
-    let error = export_proposals(&policy, &critic, 0).unwrap_err();
-    assert_eq!(error, ExportError::WrongLength { tensor: "update.weight", want: 512, got: 511 });
     let (policy, mut critic) = networks(SHAPE);
-    critic.value_weight[3] = f32::NAN;
+    fill(&mut critic.parameters, &["value.bias"], |_| vec![f32::NAN]);
     let error = export_proposals(&policy, &critic, 0).unwrap_err();
-    assert_eq!(error, ExportError::NonFinite { tensor: "head.weight" });
+    assert_eq!(error, ExportError::NonFinite { tensor: "head" });
     let (policy, critic) = networks(AllocationShape { heads: 5, ..SHAPE });
     let error = export_proposals(&policy, &critic, 0).unwrap_err();
     assert_eq!(error, ExportError::Heads { heads: 5, width: 16 });

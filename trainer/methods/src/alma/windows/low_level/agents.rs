@@ -4,22 +4,47 @@
 //! without a working version; dissertation figure 5.2 draws it. A memory is empty at the first step of a window and behind
 //! the last state of an episode; who is absent has none.
 
-use sortie_nn::tape::{Gru, Pass, Places, Var};
+use sortie_nn::random::Generator;
+use sortie_nn::tape::{Gru, Parameters, Pass, Var};
 
 use super::teams::{Look, Teams};
-use crate::alma::agents::{UtilityInput, UtilityLayers, UtilityShape};
+use crate::alma::agents::{UtilityInput, UtilityLayers};
+use crate::alma::teams::Agents;
+use crate::alma::windows::WindowShape;
+use crate::alma::windows::config::LowLevelConfig;
 
 /// Utility network and, where agents have a memory, its recurrent unit.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AgentLayers {
     network: UtilityLayers,
-    unit: Option<Gru>,
+    pub(super) unit: Option<Gru>,
 }
 
 impl AgentLayers {
-    pub(super) fn of(shape: UtilityShape, recurrent: bool, places: &mut Places) -> Self {
-        let network = UtilityLayers::of(shape, places);
-        Self { network, unit: recurrent.then(|| places.gru(shape.base)) }
+    /// Adds the first tensors, drawn uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does, of the embedding's
+    /// first layer as configured; marks are a layer of their own.
+    pub(super) fn new(
+        config: &LowLevelConfig,
+        sizes: WindowShape,
+        p: &mut Parameters,
+        random: &mut Generator,
+    ) -> Self {
+        let shape = config.shape(sizes);
+        let features = sizes.features + sizes.actions;
+        let active =
+            if config.active_inputs > 0.0 { config.active_inputs } else { features as f32 };
+        shape.draw(p, active, random);
+        let factor = (active / (shape.input - features).max(1) as f32).sqrt();
+        let marks = &mut p.values[features * shape.width..shape.input * shape.width];
+        marks.iter_mut().for_each(|weight| *weight *= factor);
+        let unit = config.recurrent.then(|| p.gru("memory", shape.base, random));
+        Self { network: UtilityLayers::of(shape), unit }
+    }
+
+    /// Those of agents that act.
+    pub(super) fn of(agents: Agents<'_>) -> Self {
+        let network = UtilityLayers::of(agents.network.shape);
+        Self { network, unit: agents.unit }
     }
 
     /// The utilities `[agents, U]` of the agents of some teams, those with a memory all of one window. What agents have

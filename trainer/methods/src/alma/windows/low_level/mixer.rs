@@ -9,12 +9,14 @@
 //! matrices are one: products of parameters, which stand behind the others while networks do not change. Numbers of a
 //! team are means over its agents; they are taken before the merged layer is applied.
 
+use std::ops::Range;
+
 use sortie_nn::layers::team_attention::Sums;
 use sortie_nn::layers::{SparseRows, TeamLists};
 use sortie_nn::random::Generator;
-use sortie_nn::tape::{Linear, Pass, Places, Tape, Var};
+use sortie_nn::tape::{Linear, Norm, Parameters, Pass, Places, Tape, Var};
 
-use crate::alma::agents::drawn;
+use crate::alma::agents::stacked;
 use crate::alma::windows::config::Nonnegative;
 
 /// What a hypernetwork gives.
@@ -29,7 +31,7 @@ pub enum Mode {
 }
 
 /// The names of the hypernetworks and what they give, in the order of the parameters.
-pub const HYPERNETWORKS: [(&str, Mode); 4] =
+const HYPERNETWORKS: [(&str, Mode); 4] =
     [("w1", Mode::Matrix), ("b1", Mode::Vector), ("w2", Mode::Vector), ("v", Mode::Scalar)];
 
 /// Sizes of a hypernetwork.
@@ -43,15 +45,6 @@ pub struct HypernetworkShape {
     pub heads: usize,
     /// Mixing width M.
     pub mixing: usize,
-}
-
-impl HypernetworkShape {
-    /// Number of parameters.
-    pub fn parameters(self) -> usize {
-        let places = &mut Places::default();
-        HypernetworkLayers::of(self, Mode::Matrix, places);
-        places.end
-    }
 }
 
 /// The layers of a hypernetwork, in the order of its parameters.
@@ -70,19 +63,20 @@ pub struct HypernetworkLayers {
 }
 
 impl HypernetworkLayers {
-    /// Those of a hypernetwork of this shape.
-    pub fn of(shape: HypernetworkShape, mode: Mode, places: &mut Places) -> Self {
+    /// Adds tensors under a name, drawn uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
+    pub fn new(
+        name: &str,
+        (shape, mode): (HypernetworkShape, Mode),
+        p: &mut Parameters,
+        random: &mut Generator,
+    ) -> Self {
         let HypernetworkShape { input, width, heads, mixing } = shape;
-        Self {
-            mode,
-            heads,
-            fc1: places.linear(input, width),
-            query: places.projection(width, width),
-            key: places.projection(width, width),
-            value: places.projection(width, width),
-            out: places.linear(width, width),
-            fc2: places.linear(width, mixing),
-        }
+        let named = |part: &str| format!("mixer.{name}.{part}");
+        let fc1 = p.sparse_linear(&named("fc1"), [input, width], input as f32, random);
+        let [query, key, value] = stacked(p, &named("attention.in"), (width, [1; 3]), random);
+        let out = p.linear(&named("attention.out"), width, width, random);
+        let fc2 = p.linear(&named("fc2"), width, mixing, random);
+        Self { mode, heads, fc1, query, key, value, out, fc2 }
     }
 
     /// Value, output and last layer in one, in a row: the weight `[K, H E]`, then the offsets.
@@ -170,27 +164,27 @@ pub struct MixerShape {
     pub bias_nonnegative: bool,
 }
 
-impl MixerShape {
-    /// Number of parameters: four hypernetworks, then the head's weights and its biases.
-    pub fn parameters(self) -> usize {
-        4 * self.hypernetwork.parameters() + 2 * self.outputs
-    }
-}
-
-/// The layers of a mixer, in the order of its parameters.
+/// A mixer's layers, in the order of its parameters.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct MixerLayers {
-    shape: MixerShape,
+pub struct Mixer {
+    pub(super) shape: MixerShape,
     hypernetworks: [HypernetworkLayers; 4],
-    /// Where weights and biases of the head begin, `[outputs]` each.
-    pub(super) head: [usize; 2],
+    /// Weights and biases of the head, `[outputs]` each.
+    head: Norm,
 }
 
-impl MixerLayers {
-    pub(super) fn of(shape: MixerShape, places: &mut Places) -> Self {
-        let own = |(_, mode)| HypernetworkLayers::of(shape.hypernetwork, mode, places);
+impl Mixer {
+    /// Adds tensors under `mixer`, drawn likewise; the head changes nothing at first.
+    pub fn new(shape: MixerShape, p: &mut Parameters, random: &mut Generator) -> Self {
+        let sizes = shape.hypernetwork;
+        let own = |(name, mode)| HypernetworkLayers::new(name, (sizes, mode), p, random);
         let hypernetworks = HYPERNETWORKS.map(own);
-        Self { shape, hypernetworks, head: [0, 1].map(|_| places.numbers(shape.outputs)) }
+        Self { shape, hypernetworks, head: p.norm("mixer.head", shape.outputs) }
+    }
+
+    /// Where the weights of the head stand, and behind them its biases.
+    pub(super) fn head_range(self) -> Range<usize> {
+        self.head.start..self.head.start + 2 * self.head.width
     }
 
     /// The merged layers of all hypernetworks in a row.
@@ -254,47 +248,12 @@ impl MixerLayers {
 
     /// Values `[teams, 1]` in normalised units, each by its own output of the head.
     pub(super) fn head(self, t: &mut Pass<'_>, values: Var, outputs: &[u32]) -> Var {
-        let [weights, biases] = self.head.map(|start| {
-            let all = t.parameter(start, [self.shape.outputs, 1]);
+        let Norm { start, width } = self.head;
+        let [weights, biases] = [start, start + width].map(|start| {
+            let all = t.parameter(start, [width, 1]);
             t.gather(all, outputs)
         });
         let scaled = t.multiply(values, weights);
         t.add(scaled, biases)
-    }
-}
-
-/// A mixer: its sizes and all parameters in one vector.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Mixer {
-    shape: MixerShape,
-    parameters: Vec<f32>,
-}
-
-flat_network!(Mixer, MixerShape);
-
-impl Mixer {
-    /// Draws weights and biases uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does; the head
-    /// changes nothing at first.
-    pub fn initialise(shape: MixerShape, generator: &mut Generator) -> Self {
-        let HypernetworkShape { input, width, .. } = shape.hypernetwork;
-        let first = (input + 1) * width;
-        let rest = shape.hypernetwork.parameters() - first;
-        let tensors = HYPERNETWORKS.iter().flat_map(|_| [(first, input), (rest, width)]);
-        let mut parameters = drawn(tensors, generator);
-        parameters.resize(parameters.len() + shape.outputs, 1.0);
-        parameters.resize(parameters.len() + shape.outputs, 0.0);
-        Self { shape, parameters }
-    }
-
-    /// Weights and biases `[outputs]` of the PopArt head.
-    pub fn head(&self) -> (&[f32], &[f32]) {
-        let outputs = self.shape.outputs;
-        self.parameters[self.parameters.len() - 2 * outputs..].split_at(outputs)
-    }
-
-    /// The same, to be changed.
-    pub fn head_mut(&mut self) -> (&mut [f32], &mut [f32]) {
-        let (outputs, length) = (self.shape.outputs, self.parameters.len());
-        self.parameters[length - 2 * outputs..].split_at_mut(outputs)
     }
 }

@@ -15,48 +15,34 @@ mod step;
 mod teams;
 mod values;
 
+use std::ops::Range;
 use std::time::Duration;
 
 use rand_core::Rng;
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::layers::elementwise;
-use sortie_nn::layers::gru::lengths;
 use sortie_nn::layers::matrix::Store;
 use sortie_nn::optimise::{RmsProp, clip_norm};
 use sortie_nn::random::Generator;
+use sortie_nn::tape::Parameters;
 
 use super::popart::PopArt;
 use super::{LowLevelTimes, Stopwatch, WindowShape, Windows};
-use crate::alma::agents::{TaskOrder, UtilityNetwork, drawn};
+use crate::alma::agents::{TaskOrder, UtilityShape, UtilityView};
 use crate::alma::coach::Coach;
 use crate::alma::teams::Agents;
-use coaching::{CoachConfig, Coaching};
+use agents::AgentLayers;
+use coaching::{CoachConfig, CoachingLayers};
 use step::{Comparison, Lane, Layers, Side, Step};
 
 pub use super::config::{LowLevelConfig, Nonnegative, PopArtOrder};
-pub use mixer::{
-    HYPERNETWORKS, HypernetworkLayers, HypernetworkShape, Mixer, MixerInput, MixerShape, Mode,
-};
+pub use mixer::{HypernetworkLayers, HypernetworkShape, Mixer, MixerInput, MixerShape, Mode};
 pub use step::Term;
 pub use teams::is_available;
 pub use values::{agent_utilities, team_input, team_values};
 
 /// Parts of a step with gradients of their own.
 const LANES: usize = 8;
-
-/// Agents and the mixer of their utilities.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LowLevelNetworks {
-    /// The agents' utility network.
-    pub agents: UtilityNetwork,
-    /// The recurrent unit before the agents' head, as [`sortie_nn::layers::gru`] has it; empty where agents
-    /// have no memory.
-    pub gru: Vec<f32>,
-    /// The mixer.
-    pub mixer: Mixer,
-    /// The statistics of the mixer's targets.
-    pub popart: PopArt,
-}
 
 /// What a step found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -77,47 +63,45 @@ pub struct LowLevelReport {
     pub gradient_norm: f32,
 }
 
-/// The learner: networks, target networks and optimiser.
-///
-/// All state is open, in plain vectors, to be saved and restored: two [`LowLevelNetworks`], and the
-/// squares of [`optimisers`](Self::optimisers); and, where agents have a coach, that of
-/// [`coaching`](Self::coaching).
+/// The learner: networks, target networks and optimiser. All state is open, to be saved and restored.
 #[derive(Clone, Debug)]
 pub struct LowLevel {
-    config: LowLevelConfig,
+    /// The switches and rates.
+    pub config: LowLevelConfig,
     sizes: WindowShape,
-    /// The networks that learn; the agents among them act.
-    pub online: LowLevelNetworks,
-    /// The networks that value what comes next.
-    pub target: LowLevelNetworks,
-    /// The optimisers of agents, recurrent unit and mixer, with as many squares as these have parameters.
-    pub optimisers: [RmsProp; 3],
-    /// The agents' coach, if they have one.
-    pub coaching: Option<Coaching>,
+    layers: Layers,
+    /// The networks that learn, one behind the other: agents, who act, and under these names `memory`, `mixer`, `coach` and
+    /// `recognition`.
+    pub online: Parameters,
+    /// Those that value what comes next.
+    pub target: Vec<f32>,
+    /// The statistics of the mixer's targets.
+    pub popart: PopArt,
+    /// The same of the mixer that values what comes next.
+    pub target_popart: PopArt,
+    /// Follows the gradient.
+    pub optimiser: RmsProp,
     lanes: Vec<Lane>,
-    gradient: Vec<f32>,
+    /// The last gradient, of all parameters that learn.
+    pub gradient: Vec<f32>,
     optimiser_time: Duration,
 }
 
 impl LowLevel {
     /// A learner with new networks. Of the sizes those of the environment count, not those of a batch.
     pub fn new(config: LowLevelConfig, sizes: WindowShape, generator: &mut Generator) -> Self {
-        let agents = values::initialise_agents(&config, sizes, generator);
-        let gru = if config.recurrent { initialise_unit(config.base, generator) } else { vec![] };
-        let online = LowLevelNetworks {
-            agents,
-            gru,
-            mixer: Mixer::initialise(config.mixer(sizes), generator),
-            popart: PopArt::default(),
-        };
-        let agents = online.agents.parameters().len();
-        let counts = [agents, online.gru.len(), online.mixer.parameters().len()];
+        let mut online = Parameters::default();
+        let agents = AgentLayers::new(&config, sizes, &mut online, generator);
+        let mixer = Mixer::new(config.mixer(sizes), &mut online, generator);
+        let merged = online.values.len();
         Self {
             config,
             sizes,
-            target: online.clone(),
-            optimisers: counts.map(RmsProp::new),
-            coaching: None,
+            layers: Layers { agents, mixer, coaching: None, merged },
+            target: online.values.clone(),
+            optimiser: RmsProp::new(merged),
+            popart: PopArt::default(),
+            target_popart: PopArt::default(),
             lanes: vec![Lane::default(); LANES],
             gradient: Vec::new(),
             optimiser_time: Duration::ZERO,
@@ -125,27 +109,40 @@ impl LowLevel {
         }
     }
 
-    /// Gives agents a new coach, in place of any that they have.
+    /// Gives agents that have none a coach.
     ///
     /// Panics if they have subtasks or memories: coached agents have neither.
-    pub fn add_coach(&mut self, config: CoachConfig, generator: &mut Generator) {
+    pub fn add_coach(&mut self, config: &CoachConfig, generator: &mut Generator) {
         let LowLevelConfig { conditioning, recurrent, .. } = self.config;
         assert!(!conditioning.has_subtasks() && !recurrent, "agents that take no coach");
-        let shape = self.config.coach(self.sizes);
-        self.coaching = Some(Coaching::new(config, shape, self.sizes.actions, generator));
+        let sizes = (self.config.coach(self.sizes), self.sizes.actions);
+        let coaching = CoachingLayers::new(config, sizes, &mut self.online, generator);
+        let merged = self.online.values.len();
+        self.layers = Layers { coaching: Some(coaching), merged, ..self.layers };
+        self.optimiser = RmsProp::new(merged);
+        self.target.clone_from(&self.online.values);
     }
 
-    /// The switches and rates.
-    pub fn config(&self) -> &LowLevelConfig {
-        &self.config
+    /// The sizes of the agents' network, whose parameters come first.
+    pub fn shape(&self) -> UtilityShape {
+        self.config.shape(self.sizes)
+    }
+
+    /// Where the parameters stand whose tensors' names begin so.
+    pub fn part(&self, name: &str) -> Range<usize> {
+        let own = self.online.tensors().iter().filter(|tensor| tensor.name.starts_with(name));
+        let whole = own.map(|tensor| tensor.range.clone());
+        whole.reduce(|whole, next| whole.start..next.end).unwrap_or_default()
     }
 
     /// What agents act by.
     pub fn players(&self) -> Agents<'_> {
+        let parameters = &self.online.values[..];
+        let coach = self.layers.coaching.map(|coaching| coaching.coach);
         Agents {
-            network: self.online.agents.view(),
-            memory_unit: &self.online.gru,
-            coach: self.coaching.as_ref().map(|coaching| &coaching.online),
+            network: UtilityView { shape: self.shape(), parameters },
+            unit: self.layers.agents.unit,
+            coach: coach.map(|layers| Coach { layers, parameters }),
         }
     }
 
@@ -157,8 +154,8 @@ impl LowLevel {
 
     /// Copies the networks that learn to those that value what comes next.
     pub fn copy_target(&mut self) {
-        self.target.clone_from(&self.online);
-        self.coaching.iter_mut().for_each(Coaching::copy_target);
+        self.target.copy_from_slice(&self.online.values);
+        self.target_popart = self.popart;
     }
 
     /// Takes one step on a batch, with so many threads. The generator shuffles subtask marks.
@@ -191,11 +188,11 @@ impl LowLevel {
         let states = step.states();
         let by_window: Vec<&[usize]> = states.chunk_by(|a, b| a / steps == b / steps).collect();
         let own = |lane: usize| by_window.iter().skip(lane).step_by(LANES);
-        let Self { config, online, target, lanes, .. } = self;
+        let Self { config, online, popart, target_popart, lanes, .. } = self;
         lanes.iter_mut().for_each(|lane| lane.begin(step.online.parameters.len()));
         in_lanes(threads, lanes, |index, lane| {
             let mut watch = Stopwatch::start();
-            own(index).for_each(|states| step.value(&target.popart, states, lane));
+            own(index).for_each(|states| step.value(target_popart, states, lane));
             lane.targets_time += watch.lap();
         });
         let mut watch = Stopwatch::start();
@@ -205,17 +202,18 @@ impl LowLevel {
             return LowLevelReport::default();
         }
         let target_mean = all.clone().map(|term| term.target).sum::<f64>() / terms as f64;
-        let (weights, biases) = online.mixer.head();
-        let before = (weights.to_vec(), biases.to_vec());
-        let rescale = online.popart.update(all.map(|term| (term.target, 1.0)));
-        let (weights, biases) = online.mixer.head_mut();
+        let head = step.layers.mixer.head_range();
+        let before = online.values[head.clone()].to_vec();
+        let rescale = popart.update(all.map(|term| (term.target, 1.0)));
+        let own_head = &mut online.values[head.clone()];
+        let (weights, biases) = own_head.split_at_mut(before.len() / 2);
         rescale.apply(weights, biases);
-        step.set_head(online.mixer.head());
+        step.online.parameters[head].copy_from_slice(own_head);
         let head = match config.popart_order {
-            PopArtOrder::RescaleFirst => online.mixer.head(),
-            PopArtOrder::Reference => (&*before.0, &*before.1),
+            PopArtOrder::RescaleFirst => &*own_head,
+            PopArtOrder::Reference => &before,
         };
-        let comparison = Comparison { popart: &online.popart, head, terms };
+        let comparison = Comparison { popart, head, terms };
         self.optimiser_time += watch.lap();
         in_lanes(threads, lanes, |index, lane| {
             let mut watch = Stopwatch::start();
@@ -246,20 +244,12 @@ impl LowLevel {
     /// Draws the marks and seeds of a step, and puts the parameters of all networks behind each other.
     fn begin<'a>(&mut self, windows: &'a Windows, generator: &mut Generator) -> Step<'a> {
         let orders = [self.draw_order(generator), self.draw_order(generator)];
-        let Self { config, online, target, coaching, lanes, .. } = self;
-        let shapes = (online.agents.shape(), online.mixer.shape());
-        let layers = Layers::new(shapes, config.recurrent, coaching.as_ref());
-        let marks = coaching.as_ref().map_or(0, |coaching| coaching.online.shape().marks);
+        let Self { config, online, target, layers, lanes, .. } = self;
+        let marks = layers.coaching.map_or(0, |coaching| coaching.coach.shape.marks);
         let [coach, target_coach, recognition_order] =
             [0, 1, 2].map(|_| TaskOrder::shuffled(marks, generator));
-        let coaches = coaching.as_ref().map_or([&[][..]; 2], |coaching| {
-            [&coaching.online, &coaching.target].map(Coach::parameters)
-        });
-        let recognition = coaching.as_ref().map_or(&[][..], |it| it.recognition.parameters());
-        let mut side = |networks: &LowLevelNetworks, coach: &[f32], order, coach_order| {
-            let LowLevelNetworks { agents, gru, mixer, .. } = networks;
-            let own = [agents.parameters(), gru, mixer.parameters(), coach, recognition];
-            let mut parameters = own.concat();
+        let mut side = |values: &[f32], order, coach_order| {
+            let mut parameters = values.to_vec();
             layers.mixer.append_merged(&mut lanes[0].tape, &mut parameters);
             Side { parameters, order, coach_order, seed: generator.next_u64() }
         };
@@ -267,9 +257,9 @@ impl LowLevel {
         Step {
             config: config.clone(),
             windows,
-            layers,
-            online: side(online, coaches[0], order, coach),
-            target: side(target, coaches[1], target_order, target_coach),
+            layers: *layers,
+            online: side(&online.values, order, coach),
+            target: side(target, target_order, target_coach),
             mixer_order: TaskOrder::identity(windows.shape.tasks),
             recognition_order,
         }
@@ -279,18 +269,8 @@ impl LowLevel {
     pub fn follow(&mut self) {
         let mut watch = Stopwatch::start();
         clip_norm(&mut self.gradient, self.config.clip);
-        let LowLevelNetworks { agents, gru, mixer, .. } = &mut self.online;
-        let mut rest = &*self.gradient;
-        for (parameters, optimiser) in [agents.parameters_mut(), gru, mixer.parameters_mut()]
-            .into_iter()
-            .zip(&mut self.optimisers)
-        {
-            let gradient = rest.split_off(..parameters.len()).expect("one slope per parameter");
-            optimiser.step(parameters, gradient, self.config.learning_rate);
-        }
-        if let Some(coaching) = &mut self.coaching {
-            coaching.follow(rest, self.config.learning_rate);
-        }
+        let rate = self.config.learning_rate;
+        self.optimiser.step(&mut self.online.values, &self.gradient, rate);
         self.optimiser_time += watch.lap();
     }
 
@@ -308,21 +288,10 @@ impl LowLevel {
         self.lanes.iter().map(|lane| lane.operations).sum()
     }
 
-    /// The last gradient: of the parameters of agents, recurrent unit, mixer, coach and
-    /// recognition.
-    pub fn gradient(&self) -> &[f32] {
-        &self.gradient
-    }
-
     /// The terms of the last step, in no particular order.
     pub fn terms(&self) -> impl Iterator<Item = &Term> + Clone {
         self.lanes.iter().flat_map(|lane| &lane.terms)
     }
-}
-
-/// Draws a recurrent unit.
-fn initialise_unit(width: usize, generator: &mut Generator) -> Vec<f32> {
-    drawn(lengths(width).map(|length| (length, width)), generator)
 }
 
 fn norm(vector: &[f32]) -> f32 {

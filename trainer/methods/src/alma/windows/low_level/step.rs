@@ -10,13 +10,13 @@
 
 use std::time::Duration;
 
-use sortie_nn::tape::{Pass, Places, Tape};
+use sortie_nn::tape::{Pass, Tape, Var};
 
 use super::agents::AgentLayers;
-use super::coaching::{Coaching, CoachingLayers};
-use super::mixer::{MixerInput, MixerLayers, MixerShape};
+use super::coaching::CoachingLayers;
+use super::mixer::{Mixer, MixerInput};
 use super::teams::{Look, Teams, View, is_available, tasks_with_agents};
-use crate::alma::agents::{TaskOrder, UtilityShape};
+use crate::alma::agents::TaskOrder;
 use crate::alma::records::config::ReturnsConfig;
 use crate::alma::windows::Windows;
 use crate::alma::windows::config::LowLevelConfig;
@@ -37,29 +37,11 @@ pub struct Term {
 /// mixer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layers {
-    agents: AgentLayers,
-    pub(super) mixer: MixerLayers,
-    coaching: Option<CoachingLayers>,
+    pub(super) agents: AgentLayers,
+    pub(super) mixer: Mixer,
+    pub(super) coaching: Option<CoachingLayers>,
     /// Where the merged layers begin.
     pub(super) merged: usize,
-    outputs: usize,
-}
-
-impl Layers {
-    pub(super) fn new(
-        (agents, mixer): (UtilityShape, MixerShape),
-        recurrent: bool,
-        coaching: Option<&Coaching>,
-    ) -> Self {
-        let places = &mut Places::default();
-        Self {
-            agents: AgentLayers::of(agents, recurrent, places),
-            mixer: MixerLayers::of(mixer, places),
-            coaching: coaching.map(|coaching| coaching.layers(places)),
-            merged: places.end,
-            outputs: mixer.outputs,
-        }
-    }
 }
 
 /// What values are computed with.
@@ -102,8 +84,8 @@ struct Bootstrapped {
 /// What values are compared with their targets by.
 pub(super) struct Comparison<'a> {
     pub(super) popart: &'a PopArt,
-    /// The head's weights and biases by which they are compared; gradients go through those that learn.
-    pub(super) head: (&'a [f32], &'a [f32]),
+    /// The head's weights, then its biases, by which they are compared; gradients go through those that learn.
+    pub(super) head: &'a [f32],
     /// Terms of the whole loss.
     pub(super) terms: usize,
 }
@@ -153,13 +135,6 @@ impl Lane {
 }
 
 impl<'a> Step<'a> {
-    /// Has the gradient go through other weights and biases of the mixer's head.
-    pub(super) fn set_head(&mut self, (weights, biases): (&[f32], &[f32])) {
-        for (start, numbers) in self.layers.mixer.head.into_iter().zip([weights, biases]) {
-            self.online.parameters[start..start + numbers.len()].copy_from_slice(numbers);
-        }
-    }
-
     /// Takes the gradient of the merged layers to that of what they follow from.
     pub(super) fn hand_back(&self, tape: &mut Tape, gradient: &mut Vec<f32>) {
         let Layers { mixer, merged, .. } = self.layers;
@@ -269,10 +244,7 @@ impl<'a> Step<'a> {
         let mut t = tape.begin(&self.target.parameters);
         let strategies = told(&mut t, &self.target, teams);
         let look = self.look(View::NEXT_AS_BEFORE, &self.target.order);
-        let utilities = self.layers.agents.utilities(&mut t, look, teams, strategies);
-        let chosen = t.pick(utilities, &best);
-        teams.write_mixer(self.look(View::NEXT_AS_BEFORE, &self.mixer_order), input);
-        let values = self.layers.mixer.mix(&mut t, self.layers.merged, input, chosen);
+        let values = self.mixed(&mut t, (look, strategies), (teams, input), &best);
         let outputs = bootstrapped.iter().map(|it| self.output(it.task.unwrap_or(0)));
         let values = self.layers.mixer.head(&mut t, values, &outputs.collect::<Vec<_>>());
         for (value, Bootstrapped { term, discount, .. }) in
@@ -283,9 +255,23 @@ impl<'a> Step<'a> {
         lane.operations += t.operations(false);
     }
 
+    /// The values of teams before the head, from the utilities of these actions.
+    fn mixed(
+        &self,
+        t: &mut Pass<'_>,
+        (look, told): (Look<'_>, Option<Var>),
+        (teams, input): (&mut Teams, &mut MixerInput),
+        actions: &[u32],
+    ) -> Var {
+        let utilities = self.layers.agents.utilities(t, look, teams, told);
+        let chosen = t.pick(utilities, actions);
+        teams.write_mixer(self.look(look.view, &self.mixer_order), input);
+        self.layers.mixer.mix(t, self.layers.merged, input, chosen)
+    }
+
     /// The output of the head that values a subtask.
     fn output(&self, task: usize) -> u32 {
-        (task % self.layers.outputs) as u32
+        (task % self.layers.mixer.shape.outputs) as u32
     }
 
     /// Adds the terms of some states with their rewards; lists those that bootstrap, teams of a state together.
@@ -344,12 +330,9 @@ impl<'a> Step<'a> {
         });
         let look = self.look(View::NOW, &self.online.order);
         let strategies = told.map(|(_, told)| told.strategies);
-        let utilities = self.layers.agents.utilities(&mut t, look, teams, strategies);
-        let taken =
-            teams.agents().map(|(state, agent)| windows.actions[state * shape.agents + agent]);
-        let chosen = t.pick(utilities, &taken.map(u32::from).collect::<Vec<_>>());
-        teams.write_mixer(self.look(View::NOW, &self.mixer_order), input);
-        let raw = self.layers.mixer.mix(&mut t, self.layers.merged, input, chosen);
+        let taken = teams.agents().map(|(state, agent)| state * shape.agents + agent);
+        let taken: Vec<u32> = taken.map(|place| windows.actions[place].into()).collect();
+        let raw = self.mixed(&mut t, (look, strategies), (teams, input), &taken);
         let outputs: Vec<u32> = terms.iter().map(|term| self.output(term.task)).collect();
         let slopes = compare(comparison, t.values(raw).iter().zip(&outputs).zip(terms), sums);
         let values = self.layers.mixer.head(&mut t, raw, &outputs);
@@ -367,10 +350,11 @@ impl<'a> Step<'a> {
 
 /// The slopes of the loss by the values of some terms, which come with their values before the head and its outputs.
 fn compare<'t>(
-    Comparison { popart, head: (weights, biases), terms }: &Comparison<'_>,
+    Comparison { popart, head, terms }: &Comparison<'_>,
     compared: impl Iterator<Item = ((&'t f32, &'t u32), &'t Term)>,
     sums: &mut Sums,
 ) -> Vec<f32> {
+    let (weights, biases) = head.split_at(head.len() / 2);
     let slope = |((raw, output), term): ((&f32, &u32), &Term)| {
         let value = weights[*output as usize] * raw + biases[*output as usize];
         let error = f64::from(value) - popart.normalise(term.target);

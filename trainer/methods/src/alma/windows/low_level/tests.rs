@@ -31,11 +31,7 @@ fn learner(config: LowLevelConfig, sizes: WindowShape) -> LowLevel {
     let mut learner = LowLevel::new(config, sizes, &mut generator(1, Purpose::Weights, 0));
     // Target networks of their own, so that nothing passes for the other.
     let other = &mut generator(2, Purpose::Weights, 0);
-    learner.target.agents = values::initialise_agents(&learner.config, sizes, other);
-    if learner.config.recurrent {
-        learner.target.gru = initialise_unit(learner.config.base, other);
-    }
-    learner.target.mixer = Mixer::initialise(learner.config.mixer(sizes), other);
+    learner.target = LowLevel::new(learner.config.clone(), sizes, other).online.values;
     learner
 }
 
@@ -158,39 +154,21 @@ fn gradients_agree_with_finite_differences() {
         let config = LowLevelConfig { extra_tasks, recurrent, skip, ..config(conditioning) };
         let mut fresh = learner(config, SIZES);
         // Utilities of some size, so that the slope by their weights is more than rounding.
-        let head = fresh.online.agents.shape().tensors()[7].range.clone();
-        fresh.online.agents.parameters_mut()[head].iter_mut().for_each(|weight| *weight *= 60.0);
+        let tensors = fresh.shape().tensors();
+        let head = tensors[7].range.clone();
+        fresh.online.values[head].iter_mut().for_each(|weight| *weight *= 60.0);
         let mut learner = fresh.clone();
         learner.descend(&windows, 1, &mut draws());
-        let count = fresh.online.agents.parameters().len();
-        let (agents, rest) = learner.gradient().split_at(count);
-        let (gru, mixer) = rest.split_at(fresh.online.gru.len());
-        if recurrent {
-            assert_gradient("gru", &fresh.online.gru, gru, |parameters| {
-                let mut moved = fresh.clone();
-                moved.online.gru.copy_from_slice(parameters);
-                moved.descend(&windows, 1, &mut draws()).loss
-            });
-        }
-        for tensor in fresh.online.agents.shape().tensors() {
-            let parameters = &fresh.online.agents.parameters()[tensor.range.clone()];
-            let gradient = &agents[tensor.range.clone()];
-            assert_gradient(&tensor.name, parameters, gradient, |parameters| {
-                let mut moved = fresh.clone();
-                moved.online.agents.parameters_mut()[tensor.range.clone()]
-                    .copy_from_slice(parameters);
-                moved.descend(&windows, 1, &mut draws()).loss
-            });
-        }
-        let own = fresh.online.mixer.shape().hypernetwork.parameters();
-        let parts = mixer.chunks(own).zip(["w1", "b1", "w2", "v", "head"]);
-        for (part, (gradient, name)) in parts.enumerate() {
-            let start = part * own;
-            let place = start..start + gradient.len();
-            let parameters = &fresh.online.mixer.parameters()[place.clone()];
+        let parts = ["memory", "mixer.w1", "mixer.b1", "mixer.w2", "mixer.v", "mixer.head"];
+        let parts = parts.map(|name| (name, fresh.part(name)));
+        assert_eq!(parts[0].1.is_empty(), !recurrent);
+        let agents = tensors.iter().map(|tensor| (&*tensor.name, tensor.range.clone()));
+        for (name, range) in agents.chain(parts).filter(|(_, range)| !range.is_empty()) {
+            let parameters = &fresh.online.values[range.clone()];
+            let gradient = &learner.gradient[range.clone()];
             assert_gradient(name, parameters, gradient, |parameters| {
                 let mut moved = fresh.clone();
-                moved.online.mixer.parameters_mut()[place.clone()].copy_from_slice(parameters);
+                moved.online.values[range.clone()].copy_from_slice(parameters);
                 moved.descend(&windows, 1, &mut draws()).loss
             });
         }
@@ -209,7 +187,7 @@ fn any_number_of_threads_gives_the_same_bits() {
             let mut learner = learner(config, sizes);
             let reports = [0, 1].map(|_| learner.learn(&windows, threads, &mut draws()));
             assert!(reports[0].terms > 100);
-            (reports, learner.online, learner.optimisers)
+            (reports, learner.online, learner.optimiser)
         });
         assert_eq!(learned[0], learned[1]);
         assert_eq!(learned[0], learned[2]);
@@ -219,10 +197,10 @@ fn any_number_of_threads_gives_the_same_bits() {
 #[test]
 fn a_batch_without_terms_changes_nothing() {
     let mut learner = learner(config(Conditioning::Mask), SIZES);
-    let before = (learner.online.clone(), learner.optimisers.clone());
+    let before = (learner.online.clone(), learner.optimiser.clone());
     let report = learner.learn(&Windows::new(SIZES), 1, &mut draws());
     assert_eq!(report, LowLevelReport::default());
-    assert_eq!(before, (learner.online, learner.optimisers));
+    assert_eq!(before, (learner.online, learner.optimiser));
 }
 
 /// One window of four states in which nothing but features and rewards changes.
@@ -258,16 +236,19 @@ fn discounted_values(learner: &LowLevel, windows: &Windows) -> Vec<f64> {
     let order = learner.draw_order(&mut draws());
     let actions = windows.shape.actions;
     let conditioning = learner.config.conditioning;
-    let utilities = |networks: &LowLevelNetworks| {
-        agent_utilities(Agents::new(networks.agents.view()), windows, conditioning, &order)
+    let shape = learner.shape();
+    let utilities = |parameters: &[f32]| {
+        let agents = Agents::new(UtilityView { shape, parameters });
+        agent_utilities(agents, windows, conditioning, &order)
     };
-    let (online, target) = (utilities(&learner.online), utilities(&learner.target));
+    let (online, target) = (utilities(&learner.online.values), utilities(&learner.target));
     let best = |row: &[f32]| (0..actions).max_by(|a, b| row[*a].total_cmp(&row[*b]));
     let utilities = online.chunks_exact(actions).zip(target.chunks_exact(actions));
     let utilities = utilities.map(|(online, target)| target[best(online).expect("an action")]);
     let utilities: Vec<f32> = utilities.collect();
-    let values = team_values(&learner.target.mixer, windows, conditioning, &utilities);
-    let real = |value: f32| learner.target.popart.denormalise(f64::from(value));
+    let (mixer, parameters) = (learner.layers.mixer, &learner.target);
+    let values = team_values(mixer, parameters, windows, conditioning, &utilities);
+    let real = |value: f32| learner.target_popart.denormalise(f64::from(value));
     values.into_iter().map(|value| 0.99 * real(value)).collect()
 }
 
@@ -277,7 +258,7 @@ fn a_timeout_bootstraps_and_a_true_end_does_not() {
         for ends_truly in [false, true] {
             let windows = steady(ends_truly);
             let mut learner = learner(config(conditioning), windows.shape);
-            learner.target.popart = PopArt { mean: 2.0, variance: 9.0, started: true };
+            learner.target_popart = PopArt { mean: 2.0, variance: 9.0, started: true };
             learner.descend(&windows, 1, &mut draws());
             let next = discounted_values(&learner, &windows);
 

@@ -8,13 +8,12 @@
 
 use std::ops::Range;
 
-use sortie_nn::random::Generator;
-use sortie_nn::tape::{Places, Tape};
+use sortie_nn::tape::Tape;
 
 use super::agents::AgentLayers;
-use super::mixer::{HypernetworkShape, Mixer, MixerInput, MixerLayers, MixerShape};
+use super::mixer::{HypernetworkShape, Mixer, MixerInput, MixerShape};
 use super::teams::{Look, Teams, View};
-use crate::alma::agents::{Conditioning, TaskOrder, UtilityNetwork, UtilityShape};
+use crate::alma::agents::{Conditioning, TaskOrder, UtilityShape};
 use crate::alma::coach::CoachShape;
 use crate::alma::teams::Agents;
 use crate::alma::windows::config::LowLevelConfig;
@@ -64,24 +63,6 @@ impl LowLevelConfig {
     }
 }
 
-/// Draws a network uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does, of the embedding's first
-/// layer as configured; marks are a layer of their own.
-pub(super) fn initialise_agents(
-    config: &LowLevelConfig,
-    sizes: WindowShape,
-    generator: &mut Generator,
-) -> UtilityNetwork {
-    let shape = config.shape(sizes);
-    let features = sizes.features + sizes.actions;
-    let active = if config.active_inputs > 0.0 { config.active_inputs } else { features as f32 };
-    let mut network = UtilityNetwork::initialise(shape, active, generator);
-    let marks = shape.input - features;
-    let factor = (active / marks.max(1) as f32).sqrt();
-    let rows = &mut network.parameters_mut()[features * shape.width..shape.input * shape.width];
-    rows.iter_mut().for_each(|weight| *weight *= factor);
-    network
-}
-
 /// The utilities `[W S, A, U]` in all states as the learner computes them, zeros for absent agents.
 /// Memories are empty at the begin of a window.
 pub fn agent_utilities(
@@ -90,9 +71,7 @@ pub fn agent_utilities(
     conditioning: Conditioning,
     order: &TaskOrder,
 ) -> Vec<f32> {
-    let parameters = [agents.network.parameters, agents.memory_unit].concat();
-    let recurrent = !agents.memory_unit.is_empty();
-    let layers = AgentLayers::of(agents.network.shape, recurrent, &mut Places::default());
+    let (parameters, layers) = (agents.network.parameters, AgentLayers::of(agents));
     let look = Look::new((windows, View::NOW), conditioning, order);
     let WindowShape { windows: count, steps, agents, actions, .. } = windows.shape;
     let mut utilities = vec![0.0; windows.shape.states() * agents * actions];
@@ -100,7 +79,7 @@ pub fn agent_utilities(
     for window in 0..count {
         let states = window * steps..(window + 1) * steps;
         let mut teams = teams(windows, states, Conditioning::None);
-        let mut t = tape.begin(&parameters);
+        let mut t = tape.begin(parameters);
         let rows = layers.utilities(&mut t, look, &mut teams, None);
         for (row, (state, agent)) in t.values(rows).chunks_exact(actions).zip(teams.agents()) {
             utilities[(state * agents + agent) * actions..][..actions].copy_from_slice(row);
@@ -136,9 +115,10 @@ pub fn team_input(
 }
 
 /// The values `[W S, T]` of all teams in normalised units, without subtasks `[W S]`, from the utilities
-/// `[W S, A]` of what the agents do.
+/// `[W S, A]` of what the agents do; `parameters` are those among which the mixer's are.
 pub fn team_values(
-    mixer: &Mixer,
+    mixer: Mixer,
+    parameters: &[f32],
     windows: &Windows,
     conditioning: Conditioning,
     utilities: &[f32],
@@ -146,13 +126,12 @@ pub fn team_values(
     let (input, agents) = team_input(windows, conditioning);
     let own = agents.iter().map(|(state, agent)| utilities[state * windows.shape.agents + agent]);
     let own: Vec<f32> = own.collect();
-    let (mut tape, mut parameters) = (Tape::default(), mixer.parameters().to_vec());
-    let layers = MixerLayers::of(mixer.shape(), &mut Places::default());
-    layers.append_merged(&mut tape, &mut parameters);
-    let mut t = tape.begin(&parameters);
+    let (mut tape, mut all) = (Tape::default(), parameters.to_vec());
+    mixer.append_merged(&mut tape, &mut all);
+    let mut t = tape.begin(&all);
     let utilities = t.input(1, &own);
-    let values = layers.mix(&mut t, mixer.parameters().len(), &input, utilities);
-    let outputs = (0..mixer.shape().outputs as u32).cycle().take(input.teams.teams());
-    let values = layers.head(&mut t, values, &outputs.collect::<Vec<_>>());
+    let values = mixer.mix(&mut t, parameters.len(), &input, utilities);
+    let outputs = (0..mixer.shape.outputs as u32).cycle().take(input.teams.teams());
+    let values = mixer.head(&mut t, values, &outputs.collect::<Vec<_>>());
     t.values(values).to_vec()
 }

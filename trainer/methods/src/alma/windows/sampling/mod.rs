@@ -14,7 +14,6 @@ use sortie_envs::{AgentSet, EntitySet, Environment, Observation};
 use sortie_nn::random::Generator;
 
 use super::{NO_ACTION, NO_TASK, WindowShape, Windows};
-use crate::SavedStates;
 
 /// One episode: every state with what was decided in it, and the final state.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -23,7 +22,8 @@ pub struct Episode {
     pub added: u64,
     agents: usize,
     tasks: usize,
-    states: SavedStates,
+    /// The states, each as many bytes as it needs, and where each of them ends.
+    states: (Vec<u8>, Vec<u32>),
     /// `[states, A]`: the allocation in force.
     allocation: Vec<u8>,
     /// `[states, A]`; what stands at the final state is never used.
@@ -59,7 +59,9 @@ impl Episode {
 
     /// Adds a state.
     pub fn push_state(&mut self, moment: Moment<'_>) {
-        self.states.push(moment.state);
+        let (bytes, ends) = &mut self.states;
+        bytes.extend_from_slice(moment.state);
+        ends.push(bytes.len() as u32);
         self.allocation.extend_from_slice(&moment.allocation[..self.agents]);
         let actions = &moment.actions[..self.agents];
         self.actions.extend(actions.iter().map(|action| *action as u8));
@@ -77,7 +79,8 @@ impl Episode {
     pub fn end(&mut self, last: Moment<'_>, terminated: bool) {
         self.push_state(last);
         self.terminated = terminated;
-        self.states.shrink_to_fit();
+        self.states.0.shrink_to_fit();
+        self.states.1.shrink_to_fit();
         self.allocation.shrink_to_fit();
         self.actions.shrink_to_fit();
         self.decision.shrink_to_fit();
@@ -87,7 +90,7 @@ impl Episode {
 
     /// States, the final one included.
     pub fn states(&self) -> usize {
-        self.states.len()
+        self.states.1.len()
     }
 
     /// Steps taken.
@@ -97,7 +100,9 @@ impl Episode {
 
     /// The bytes of a state.
     pub fn state(&self, state: usize) -> &[u8] {
-        self.states.at(state)
+        let (bytes, ends) = &self.states;
+        let start = state.checked_sub(1).map_or(0, |before| ends[before]);
+        &bytes[start as usize..ends[state] as usize]
     }
 
     /// The allocation `[A]` in force in a state.
@@ -154,16 +159,6 @@ impl Replay {
     /// All episodes, in no particular order.
     pub fn episodes(&self) -> &[Episode] {
         &self.episodes
-    }
-
-    /// Number of episodes.
-    pub fn len(&self) -> usize {
-        self.episodes.len()
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.episodes.is_empty()
     }
 }
 

@@ -10,15 +10,12 @@
 #[cfg(test)]
 mod tests;
 
-use sortie_nn::optimise::RmsProp;
 use sortie_nn::random::{Generator, normals, stream};
-use sortie_nn::tape::{Pass, Places, Var};
+use sortie_nn::tape::{Parameters, Pass, Var};
 
 use crate::alma::agents::{TaskOrder, UtilityInput};
 use crate::alma::coach::gaussian::entropies;
-use crate::alma::coach::{
-    Coach, CoachLayers, CoachShape, Recognition, RecognitionLayers, RecognitionShape,
-};
+use crate::alma::coach::{CoachLayers, CoachShape, RecognitionLayers};
 use crate::alma::windows::Windows;
 
 pub use crate::alma::windows::config::CoachConfig;
@@ -74,70 +71,10 @@ pub fn state_input(
     }
 }
 
-/// Coach, recognition network and their optimisers. All state is open, to be saved and restored.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Coaching {
-    config: CoachConfig,
-    /// The coach that learns and tells.
-    pub online: Coach,
-    /// The coach of the players that value what comes next.
-    pub target: Coach,
-    /// Guesses strategies.
-    pub recognition: Recognition,
-    /// The optimisers of coach and recognition.
-    pub optimisers: [RmsProp; 2],
-}
-
-impl Coaching {
-    /// A new coach for players of so many actions.
-    pub(super) fn new(
-        config: CoachConfig,
-        shape: CoachShape,
-        actions: usize,
-        generator: &mut Generator,
-    ) -> Self {
-        let online = Coach::initialise(shape, generator);
-        let recognition =
-            Recognition::initialise(RecognitionShape { coach: shape, actions }, generator);
-        let counts = [online.parameters().len(), recognition.parameters().len()];
-        Self {
-            config,
-            target: online.clone(),
-            online,
-            recognition,
-            optimisers: counts.map(RmsProp::new),
-        }
-    }
-
-    /// The layers of coach and recognition, which stand behind each other.
-    pub(super) fn layers(&self, places: &mut Places) -> CoachingLayers {
-        CoachingLayers {
-            shape: self.online.shape(),
-            coach: CoachLayers::of(self.online.shape(), places),
-            recognition: RecognitionLayers::of(self.recognition.shape(), places),
-            beta: self.config.beta,
-        }
-    }
-
-    /// Follows the gradient.
-    pub(super) fn follow(&mut self, gradient: &[f32], learning_rate: f32) {
-        let (coach, recognition) = gradient.split_at(self.online.parameters().len());
-        let [of_coach, of_recognition] = &mut self.optimisers;
-        of_coach.step(self.online.parameters_mut(), coach, learning_rate);
-        of_recognition.step(self.recognition.parameters_mut(), recognition, learning_rate);
-    }
-
-    /// Renews the coach of the players that value what comes next.
-    pub(super) fn copy_target(&mut self) {
-        self.target.clone_from(&self.online);
-    }
-}
-
 /// The layers of coach and recognition network.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CoachingLayers {
-    shape: CoachShape,
-    coach: CoachLayers,
+    pub(super) coach: CoachLayers,
     recognition: RecognitionLayers,
     beta: f32,
 }
@@ -151,6 +88,18 @@ pub(super) struct Told {
 }
 
 impl CoachingLayers {
+    /// Adds tensors for players of so many actions.
+    pub(super) fn new(
+        config: &CoachConfig,
+        (shape, actions): (CoachShape, usize),
+        p: &mut Parameters,
+        random: &mut Generator,
+    ) -> Self {
+        let coach = CoachLayers::new(shape, p, random);
+        let recognition = RecognitionLayers::new(shape, actions, p, random);
+        Self { coach, recognition, beta: config.beta }
+    }
+
     /// Draws the strategies of all decisions of a window, and lists what some of its agents, by state and number, hold.
     pub(super) fn tell(
         self,
@@ -159,13 +108,13 @@ impl CoachingLayers {
         (order, seed): (&TaskOrder, u64),
         agents: impl Iterator<Item = (usize, usize)>,
     ) -> Told {
-        let width = self.shape.strategy;
+        let width = self.coach.shape.strategy;
         let decisions = Decisions::of(windows, window);
         let nothing = t.input(width, &vec![0.0; width]);
         let (mut strategies, mut log_variances) = (nothing, nothing);
         if decisions.count > 0 {
             let mut input = UtilityInput::default();
-            state_input(self.shape, windows, &decisions.states, order, false, &mut input);
+            state_input(self.coach.shape, windows, &decisions.states, order, false, &mut input);
             let told = self.coach.strategies(t, &input);
             let noise = normals(&mut stream(seed, 0, window as u64), decisions.count * width);
             let drawn = told.draw(t, &noise);
@@ -189,7 +138,7 @@ impl CoachingLayers {
         told: Told,
     ) -> Var {
         let mut input = UtilityInput::default();
-        state_input(self.shape, windows, states, order, true, &mut input);
+        state_input(self.coach.shape, windows, states, order, true, &mut input);
         let guess = self.recognition.guess(t, &input);
         let densities = guess.log_density(t, told.strategies);
         let entropies = entropies(t, told.log_variances);

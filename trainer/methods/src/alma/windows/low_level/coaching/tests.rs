@@ -6,7 +6,7 @@ use sortie_nn::random::Generator;
 
 use super::*;
 use crate::alma::agents::{Conditioning, TaskOrder, UtilityInput};
-use crate::alma::coach::{Advice, Coach, CoachShape, seen_input};
+use crate::alma::coach::{Advice, Coach, seen_input};
 use crate::alma::windows::low_level::tests::{SIZES, config, draws, random_windows};
 use crate::alma::windows::low_level::{LowLevel, LowLevelConfig};
 use crate::alma::windows::{
@@ -29,18 +29,31 @@ fn decided(sizes: WindowShape) -> Windows {
     windows
 }
 
-/// A learner with a coach whose terms weigh enough to be seen, and a target of its own; its agents' own
-/// embeddings skip the attention.
-fn coached(sizes: WindowShape) -> LowLevel {
+/// A learner without a coach, whose agents' own embeddings skip the attention.
+fn alone(sizes: WindowShape) -> LowLevel {
     let config = LowLevelConfig { skip: true, ..config(Conditioning::None) };
     let mut learner = LowLevel::new(config, sizes, &mut weights());
     // Utilities of some size, so that slopes are more than rounding.
-    let head = learner.online.agents.shape().tensors()[7].range.clone();
-    learner.online.agents.parameters_mut()[head].iter_mut().for_each(|weight| *weight *= 60.0);
-    learner.add_coach(CoachConfig { enabled: true, beta: 0.05 }, &mut weights());
-    let other = &mut generator(6, Purpose::Weights, 0);
-    learner.coaching.as_mut().unwrap().target = Coach::initialise(SHAPE, other);
+    let head = learner.shape().tensors()[7].range.clone();
+    learner.online.values[head].iter_mut().for_each(|weight| *weight *= 60.0);
+    learner.target.clone_from(&learner.online.values);
     learner
+}
+
+/// The same with a coach whose terms weigh enough to be seen, and a target of its own.
+fn coached(sizes: WindowShape) -> LowLevel {
+    let mut learner = alone(sizes);
+    learner.add_coach(&CoachConfig { enabled: true, beta: 0.05 }, &mut weights());
+    let (other, place) = (coach(SHAPE, 6).1, learner.part("coach"));
+    learner.target[place].copy_from_slice(&other.values);
+    learner
+}
+
+/// A coach of its own.
+fn coach(shape: CoachShape, seed: u64) -> (CoachLayers, Parameters) {
+    let mut parameters = Parameters::default();
+    let random = &mut generator(seed, Purpose::Weights, 0);
+    (CoachLayers::new(shape, &mut parameters, random), parameters)
 }
 
 #[test]
@@ -50,35 +63,20 @@ fn gradients_of_a_step_agree_with_finite_differences() {
     let mut learner = fresh.clone();
     let report = learner.descend(&windows, 1, &mut draws());
     assert!(report.coach_loss > 0.1, "{report:?}");
-    let loss = |moved: &mut LowLevel| {
-        let report = moved.descend(&windows, 1, &mut draws());
-        report.loss + report.coach_loss
-    };
-    let (online, coaching) = (&fresh.online, fresh.coaching.as_ref().unwrap());
-    let mut rest = learner.gradient();
-    let mut next = |parameters: &[f32]| rest.split_off(..parameters.len()).unwrap();
-    let agents = next(online.agents.parameters());
-    assert_gradient("agents", online.agents.parameters(), agents, |parameters| {
-        let mut moved = fresh.clone();
-        moved.online.agents.parameters_mut().copy_from_slice(parameters);
-        loss(&mut moved)
-    });
-    next(online.mixer.parameters());
-    let coach = next(coaching.online.parameters());
-    assert_gradient("coach", coaching.online.parameters(), coach, |parameters| {
-        let mut moved = fresh.clone();
-        let coaching = moved.coaching.as_mut().unwrap();
-        coaching.online.parameters_mut().copy_from_slice(parameters);
-        loss(&mut moved)
-    });
-    let recognition = next(coaching.recognition.parameters());
-    assert_gradient("recognition", coaching.recognition.parameters(), recognition, |parameters| {
-        let mut moved = fresh.clone();
-        let coaching = moved.coaching.as_mut().unwrap();
-        coaching.recognition.parameters_mut().copy_from_slice(parameters);
-        loss(&mut moved)
-    });
-    assert!(rest.is_empty());
+    let agents = 0..fresh.shape().parameters();
+    let recognition = fresh.part("recognition");
+    assert_eq!(learner.gradient.len(), recognition.end);
+    let parts = [("agents", agents), ("coach", fresh.part("coach")), ("recognition", recognition)];
+    for (name, range) in parts {
+        let parameters = &fresh.online.values[range.clone()];
+        let gradient = &learner.gradient[range.clone()];
+        assert_gradient(name, parameters, gradient, |parameters| {
+            let mut moved = fresh.clone();
+            moved.online.values[range.clone()].copy_from_slice(parameters);
+            let report = moved.descend(&windows, 1, &mut draws());
+            report.loss + report.coach_loss
+        });
+    }
 }
 
 #[test]
@@ -89,24 +87,22 @@ fn any_number_of_threads_gives_the_same_bits() {
         let mut learner = coached(sizes);
         let reports = [0, 1].map(|_| learner.learn(&windows, threads, &mut draws()));
         assert!(reports[0].terms > 100);
-        (reports, learner.online, learner.coaching)
+        (reports, learner.online)
     });
     assert_eq!(learned[0], learned[1]);
     assert_eq!(learned[0], learned[2]);
-    assert_ne!(learned[0].2, coached(sizes).coaching);
+    let (before, place) = (coached(sizes), coached(sizes).part("coach"));
+    assert_ne!(learned[0].1.values[place.clone()], before.online.values[place]);
 }
 
 #[test]
 fn players_that_are_told_nothing_learn_as_flat_agents() {
     let windows = random_windows(SIZES, 1);
-    let mut told_nothing = coached(SIZES);
-    let mut flat = told_nothing.clone();
-    flat.coaching = None;
+    let (mut told_nothing, mut flat) = (coached(SIZES), alone(SIZES));
     let [coached, alone] =
         [&mut told_nothing, &mut flat].map(|learner| learner.descend(&windows, 1, &mut draws()));
     assert_eq!((coached.loss, coached.target), (alone.loss, alone.target));
-    let players = flat.online.agents.parameters().len() + flat.online.mixer.parameters().len();
-    assert_eq!(told_nothing.gradient()[..players], flat.gradient()[..players]);
+    assert_eq!(told_nothing.gradient[..flat.gradient.len()], flat.gradient);
 }
 
 #[test]
@@ -155,14 +151,15 @@ fn a_coach_sees_the_same_where_agents_play_and_where_they_learn() {
     state_input(shape, &windows, &[0], &order, false, &mut learning);
     assert_eq!(playing, learning);
 
-    let coach = Coach::initialise(shape, &mut weights());
+    let (layers, parameters) = coach(shape, 4);
     let [mut told, mut drawn] = [Vec::new(), Vec::new()];
-    let mut advice = Advice::new(&coach);
+    let mut advice = Advice::new(Coach { layers, parameters: &parameters.values });
     advice.mean(&seen, &mut told).unwrap();
     advice.draw(&seen, &mut draws(), &mut drawn);
     assert_eq!((told.len(), drawn.len()), (seen.agents() * 6, seen.agents() * 6));
     assert_ne!(told, drawn);
-    let few = Coach::initialise(CoachShape { marks: 1, ..shape }, &mut weights());
-    let refused = Advice::new(&few).mean(&seen, &mut told).unwrap_err();
+    let (layers, parameters) = coach(CoachShape { marks: 1, ..shape }, 4);
+    let few = Coach { layers, parameters: &parameters.values };
+    let refused = Advice::new(few).mean(&seen, &mut told).unwrap_err();
     assert!(refused.to_string().contains("knows 1 subtasks"), "{refused}");
 }
