@@ -1,31 +1,21 @@
 //! Normalisation: of every row by itself within a network, and of the columns of a whole batch before it.
 
-use super::wide::{Work, run_widest};
+use super::wide::run_widest;
 
 /// Added to a variance.
 pub const EPSILON: f32 = 1e-5;
 
 /// Writes every row `[columns]` of `x` with mean 0 and variance 1.
 pub fn rows(columns: usize, x: &[f32], y: &mut [f32]) {
-    run_widest(Rows { columns, x, y });
-}
-
-struct Rows<'a> {
-    columns: usize,
-    x: &'a [f32],
-    y: &'a mut [f32],
-}
-
-impl Work for Rows<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        for (x, y) in self.x.chunks_exact(self.columns).zip(self.y.chunks_exact_mut(self.columns)) {
-            let (mean, inverse) = moments(x);
-            y.iter_mut().zip(x).for_each(|(y, x)| *y = (x - mean) * inverse);
-        }
-    }
+    run_widest(
+        #[inline(always)]
+        || {
+            for (x, y) in x.chunks_exact(columns).zip(y.chunks_exact_mut(columns)) {
+                let (mean, inverse) = moments(x);
+                y.iter_mut().zip(x).for_each(|(y, x)| *y = (x - mean) * inverse);
+            }
+        },
+    );
 }
 
 /// Mean and inverse deviation of the numbers of a row.
@@ -39,30 +29,19 @@ fn moments(row: &[f32]) -> (f32, f32) {
 
 /// Turns slopes by normalised rows `y` into slopes by the rows `x` that they were computed from.
 pub fn rows_backward(columns: usize, x: &[f32], y: &[f32], slopes: &mut [f32]) {
-    run_widest(RowsBackward { columns, x, y, slopes });
-}
-
-struct RowsBackward<'a> {
-    columns: usize,
-    x: &'a [f32],
-    y: &'a [f32],
-    slopes: &'a mut [f32],
-}
-
-impl Work for RowsBackward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let rows = self.x.chunks_exact(self.columns).zip(self.y.chunks_exact(self.columns));
-        for ((x, y), slopes) in rows.zip(self.slopes.chunks_exact_mut(self.columns)) {
-            let (_, inverse) = moments(x);
-            let share = 1.0 / x.len() as f32;
-            let mean = share * slopes.iter().sum::<f32>();
-            let along = share * slopes.iter().zip(y).map(|(d, y)| d * y).sum::<f32>();
-            slopes.iter_mut().zip(y).for_each(|(d, y)| *d = inverse * (*d - mean - y * along));
-        }
-    }
+    run_widest(
+        #[inline(always)]
+        || {
+            let rows = x.chunks_exact(columns).zip(y.chunks_exact(columns));
+            for ((x, y), slopes) in rows.zip(slopes.chunks_exact_mut(columns)) {
+                let (_, inverse) = moments(x);
+                let share = 1.0 / x.len() as f32;
+                let mean = share * slopes.iter().sum::<f32>();
+                let along = share * slopes.iter().zip(y).map(|(d, y)| d * y).sum::<f32>();
+                slopes.iter_mut().zip(y).for_each(|(d, y)| *d = inverse * (*d - mean - y * along));
+            }
+        },
+    );
 }
 
 /// Writes every row times `factors` plus `offsets`.

@@ -3,10 +3,10 @@
 use super::{Gru, Linear, Norm, Operation, Pass, Var};
 use crate::layers::attention::AttentionShape;
 use crate::layers::gru::GruShape;
+use crate::layers::split_attention::{self, BLOCKS};
 use crate::layers::unfold::UnfoldShape;
 use crate::layers::{
-    SparseRows, VisibleLists, attention, attention_scores, linear, normalise, relu, sparse_linear,
-    split_attention, unfold,
+    SparseRows, VisibleLists, attention, elementwise, linear, normalise, sparse_linear, unfold,
 };
 
 impl Pass<'_> {
@@ -59,7 +59,7 @@ impl Pass<'_> {
             (None, false) => linear::forward_without_bias(layer.shape, x, weight, out),
             (None, true) => {
                 linear::forward_without_bias(layer.shape, x, weight, out);
-                relu::forward(out);
+                elementwise::rectify(out);
             }
         }
         y
@@ -86,7 +86,7 @@ impl Pass<'_> {
         let out = self.tape.split(y).1;
         sparse_linear::forward(features, weight, &self.parameters[bias], out);
         if rectified {
-            relu::forward(out);
+            elementwise::rectify(out);
         }
         y
     }
@@ -135,38 +135,47 @@ impl Pass<'_> {
         visible: &VisibleLists,
         heads: usize,
     ) -> Var {
-        let [count, width] = self.size(queries);
-        assert_eq!((count, 2 * width), (visible.queries(), self.size(keys_values)[1]), "sizes");
+        self.attend([queries, keys_values], visible, heads, false)
+    }
+
+    /// Three blocks `[3 * queries, width]` of attention in four heads, at a width of one of
+    /// [`WIDTHS`](split_attention::WIDTHS): of everything that a query sees, of what lies within its part and of what lies
+    /// across, as imagined passes need them (REFIL, dissertation section 5.4); no pair is looked at twice. Sizes as of
+    /// [`attention`](Self::attention).
+    pub fn split_attention(
+        &mut self,
+        queries: Var,
+        keys_values: Var,
+        visible: &VisibleLists,
+    ) -> Var {
+        self.attend([queries, keys_values], visible, split_attention::HEADS, true)
+    }
+
+    fn attend(
+        &mut self,
+        inputs: [Var; 2],
+        visible: &VisibleLists,
+        heads: usize,
+        parts: bool,
+    ) -> Var {
+        let [count, width] = self.size(inputs[0]);
+        assert_eq!((count, 2 * width), (visible.queries(), self.size(inputs[1])[1]), "sizes");
         let shape = AttentionShape { width, heads };
-        let (lists, kept) = self.tape.lists.next();
-        kept.copy_from(visible);
+        let lists = self.tape.keep_lists(visible);
         let pairs = visible.pairs() * heads;
-        let weights = self.tape.reserve(pairs);
-        let operation =
-            Operation::Attend { queries, keys_values, lists, weights: weights as u32, shape };
-        let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
-        let y = self.tape.push(operation, count, width, needs);
-        let ranges = [queries, keys_values].map(|var| self.tape.of(var).range());
-        // The weights stand between the inputs and the result.
-        let range = self.tape.of(y).range();
-        let (before, rest) = self.tape.values.split_at_mut(weights);
-        let (weights, rest) = rest.split_at_mut(range.start - weights);
-        let [queries, keys_values] = ranges.map(|range| &before[range]);
-        let out = &mut rest[..count * width];
-        let weights = &mut weights[..pairs];
-        if split_attention::is_built_for(width, heads) {
-            let pass = split_attention::Forward {
-                queries,
-                keys_values,
-                weights,
-                shares: &mut [],
-                output: out,
-            };
-            split_attention::forward(width, visible, pass);
-        } else {
-            attention::forward(shape, visible, queries, keys_values, weights, out);
-        }
-        y
+        let (blocks, shares) = if parts { (BLOCKS, count * heads) } else { (1, 0) };
+        let operation = |weights| Operation::Attend { inputs, lists, weights, shape, parts };
+        let size = [blocks * count, width];
+        self.keep(pairs + shares, operation, inputs, size, |inputs, kept, output| {
+            let ([queries, keys_values], (weights, shares)) = (inputs, kept.split_at_mut(pairs));
+            if parts || split_attention::is_built_for(width, heads) {
+                let pass =
+                    split_attention::Forward { queries, keys_values, weights, shares, output };
+                split_attention::forward(width, visible, pass);
+            } else {
+                attention::forward(shape, visible, queries, keys_values, weights, output);
+            }
+        })
     }
 
     /// `[pairs, heads]`: the weights of what each query sees, list behind list, of a matrix that is
@@ -195,12 +204,12 @@ impl Pass<'_> {
     ) -> Var {
         let [count, width] = self.size(queries);
         assert_eq!((count, 2 * width), (visible.queries(), self.size(keys_values)[1]), "sizes");
-        let shape = AttentionShape { width, heads };
-        let (lists, kept) = self.tape.lists.next();
-        kept.copy_from(visible);
-        let operation = Operation::SquaredScores { queries, keys_values, lists, shape };
-        self.join(operation, [queries, keys_values], [count, 1], |queries, keys_values, y| {
-            attention_scores::forward(shape, visible, queries, keys_values, y);
+        let (shape, inputs) = (AttentionShape { width, heads }, [queries, keys_values]);
+        let lists = self.tape.keep_lists(visible);
+        let operation = |scores| Operation::SquaredScores { inputs, lists, scores, shape };
+        let pairs = visible.pairs() * heads;
+        self.keep(pairs, operation, inputs, [count, 1], |[queries, keys_values], scores, y| {
+            attention::squared_scores(shape, visible, queries, keys_values, scores, y);
         })
     }
 
