@@ -9,7 +9,7 @@ use sortie_envs::{Environment, Failing};
 use sortie_nn::layers::products::Products;
 use toml::{Table, Value};
 
-use crate::configuration::{self, RUN as RUN_SECTION, WHERE};
+use crate::configuration::{self, RUN as RUN_SECTION, RunConfig, WHERE, WIDEST};
 use crate::error::LearnError;
 
 /// Where a run learns.
@@ -179,47 +179,6 @@ pub(crate) fn renamed(assignment: &str) -> String {
         None => assignment.to_owned(),
     }
 }
-
-/// How long to learn, and when to measure and save.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RunConfig {
-    /// Folder of a run whose averaged weights this one begins with; empty for a run from scratch.
-    pub from: String,
-    /// Instructions of matrix products: `widest`, or the name of one of
-    /// [`Products`](sortie_nn::layers::products::Products).
-    pub products: String,
-    /// Environment steps to learn for.
-    pub steps: u64,
-    /// Processor seconds after which a run ends that has not taken all steps; 0: it takes them all.
-    pub cpu_seconds: f64,
-    /// Environment steps from one evaluation to the next.
-    pub evaluate_every: u64,
-    /// Greedy episodes of an evaluation.
-    pub evaluate_episodes: usize,
-    /// Greedy episodes of the evaluation at the end of the run, fresh ones that were never used before.
-    pub final_episodes: usize,
-    /// Minutes from one checkpoint to the next; one is always written at the end.
-    pub checkpoint_minutes: f64,
-}
-
-impl Default for RunConfig {
-    fn default() -> Self {
-        Self {
-            from: String::new(),
-            products: "widest".to_owned(),
-            steps: 600_000,
-            cpu_seconds: 0.0,
-            evaluate_every: 50_000,
-            evaluate_episodes: 500,
-            final_episodes: 2_000,
-            checkpoint_minutes: 5.0,
-        }
-    }
-}
-
-/// What `run.products` says where the processor decides.
-const WIDEST: &str = "widest";
 
 impl RunConfig {
     /// Writes in the place of `widest` what that is on this processor, and refuses what it does not have.
