@@ -19,34 +19,8 @@ pub fn forward(shape: LinearShape, x: &[f32], weight: &[f32], bias: &[f32], y: &
     add_bias(f32::NEG_INFINITY, bias, y);
 }
 
-/// As [`forward`], with the rectifier `max(0, y)` behind it.
-pub fn forward_rectified(
-    shape: LinearShape,
-    x: &[f32],
-    weight: &[f32],
-    bias: &[f32],
-    y: &mut [f32],
-) {
-    forward_without_bias(shape, x, weight, y);
-    add_bias(0.0, bias, y);
-}
-
-/// As [`forward_rectified`] of two inputs with a matrix each, whose products are added up. The second may be of another
-/// width.
-pub fn forward_rectified_sum(
-    shape: LinearShape,
-    [(x, weight), (added_x, added_weight)]: [(&[f32], &[f32]); 2],
-    bias: &[f32],
-    y: &mut [f32],
-) {
-    forward_without_bias(shape, x, weight, y);
-    let added = LinearShape { input: added_weight.len() / shape.output, ..shape };
-    product(added, Store::Add, added_x, added_weight, y);
-    add_bias(0.0, bias, y);
-}
-
-/// Adds the bias to every row; `least` is what smaller sums are replaced by.
-fn add_bias(least: f32, bias: &[f32], y: &mut [f32]) {
+/// Adds the bias to every row; `least` is what smaller sums are replaced by: 0 makes it a rectified layer.
+pub(crate) fn add_bias(least: f32, bias: &[f32], y: &mut [f32]) {
     run_widest(
         #[inline(always)]
         || {
@@ -62,7 +36,8 @@ pub fn forward_without_bias(shape: LinearShape, x: &[f32], weight: &[f32], y: &m
     product(shape, Store::Replace, x, weight, y);
 }
 
-fn product(shape: LinearShape, store: Store, x: &[f32], weight: &[f32], y: &mut [f32]) {
+/// The same, or adds it to what stands in `y`.
+pub(crate) fn product(shape: LinearShape, store: Store, x: &[f32], weight: &[f32], y: &mut [f32]) {
     let rows = y.len() / shape.output;
     multiply(
         MatrixMut::new(y, rows, shape.output),
@@ -141,7 +116,9 @@ mod tests {
         let (x, other_x) = (random(1, ROWS * 5), random(2, ROWS * 5));
         let (weight, other, bias) = (random(3, 15), random(4, 15), random(5, 3));
         let mut y = vec![f32::NAN; ROWS * 3];
-        forward_rectified_sum(SHAPE, [(&x, &weight), (&other_x, &other)], &bias, &mut y);
+        product(SHAPE, Store::Replace, &x, &weight, &mut y);
+        product(SHAPE, Store::Add, &other_x, &other, &mut y);
+        add_bias(0.0, &bias, &mut y);
         let (mut one, mut two) = (vec![0.0; ROWS * 3], vec![0.0; ROWS * 3]);
         forward(SHAPE, &x, &weight, &bias, &mut one);
         forward_without_bias(SHAPE, &other_x, &other, &mut two);

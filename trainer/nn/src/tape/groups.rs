@@ -3,7 +3,7 @@
 use std::mem;
 use std::ops::Range;
 
-use super::backward::sized;
+use super::slopes::sized;
 use super::{Indices, Operation, Pass, Tape, Var};
 use crate::layers::elementwise;
 use crate::layers::matrix::Store;

@@ -1,12 +1,13 @@
 //! Steps with parameters, and those of networks: layers, attention, memories.
 
-use super::{Gru, Linear, Norm, Operation, Pass, Var};
+use super::{Gru, Linear, Operation, Pass, Var};
 use crate::layers::attention::AttentionShape;
 use crate::layers::gru::GruShape;
+use crate::layers::matrix::Store;
 use crate::layers::split_attention::{self, BLOCKS};
 use crate::layers::unfold::UnfoldShape;
 use crate::layers::{
-    SparseRows, VisibleLists, attention, elementwise, linear, normalise, sparse_linear, unfold,
+    SparseRows, VisibleLists, attention, elementwise, linear, sparse_linear, unfold,
 };
 
 impl Pass<'_> {
@@ -38,8 +39,9 @@ impl Pass<'_> {
         let ranges = [x, added].map(|var| self.tape.of(var).range());
         let (before, out) = self.tape.split(y);
         let [x, added] = ranges.map(|range| &before[range]);
-        let parts = [(x, weight), (added, added_weight)];
-        linear::forward_rectified_sum(layer.shape, parts, bias, out);
+        linear::product(layer.shape, Store::Replace, x, weight, out);
+        linear::product(added_layer.shape, Store::Add, added, added_weight, out);
+        linear::add_bias(0.0, bias, out);
         y
     }
 
@@ -52,15 +54,12 @@ impl Pass<'_> {
         let bias = layer.bias_range().map(|range| &self.parameters[range]);
         let range = self.tape.of(x).range();
         let (before, out) = self.tape.split(y);
-        let x = &before[range];
-        match (bias, rectified) {
-            (Some(bias), false) => linear::forward(layer.shape, x, weight, bias, out),
-            (Some(bias), true) => linear::forward_rectified(layer.shape, x, weight, bias, out),
-            (None, false) => linear::forward_without_bias(layer.shape, x, weight, out),
-            (None, true) => {
-                linear::forward_without_bias(layer.shape, x, weight, out);
-                elementwise::rectify(out);
-            }
+        linear::forward_without_bias(layer.shape, &before[range], weight, out);
+        match bias {
+            Some(bias) if rectified => linear::add_bias(0.0, bias, out),
+            Some(bias) => linear::add_bias(f32::NEG_INFINITY, bias, out),
+            None if rectified => elementwise::rectify(out),
+            None => {}
         }
         y
     }
@@ -91,7 +90,8 @@ impl Pass<'_> {
         y
     }
 
-    /// A convolution: a picture a row in, its patches behind each other out, `[patches, output]` of each.
+    /// A convolution: a picture a row in, its patches behind each other out, `[patches, output]` of each. The kernels are
+    /// those of a layer over a patch.
     pub fn convolution(&mut self, x: Var, shape: UnfoldShape, layer: Linear) -> Var {
         let pictures = self.size(x)[0];
         let patches = self.unfold(x, shape);
@@ -109,21 +109,6 @@ impl Pass<'_> {
         self.step(Operation::Unfold { x, shape }, x, [rows, shape.patch()], |x, y| {
             unfold::forward(shape, x, y);
         })
-    }
-
-    /// Layer normalisation: every row with mean 0 and variance 1, then factors and offsets of columns.
-    pub fn layer_norm(&mut self, x: Var, layer: Norm) -> Var {
-        let size = self.size(x);
-        let normal = self.step(Operation::Normalise { x }, x, size, |x, y| {
-            normalise::rows(size[1], x, y);
-        });
-        let y = self.tape.push(Operation::Affine { x: normal, layer }, size[0], size[1], true);
-        let parameters = &self.parameters[layer.start..layer.start + 2 * layer.width];
-        let (factors, offsets) = parameters.split_at(layer.width);
-        let range = self.tape.of(normal).range();
-        let (before, out) = self.tape.split(y);
-        normalise::affine(factors, offsets, &before[range], out);
-        y
     }
 
     /// What each query makes of the rows that it sees: `queries [queries, width]`, `keys_values [rows, 2 width]`

@@ -33,6 +33,7 @@ mod groups;
 mod layers;
 mod matrices;
 mod parameters;
+mod slopes;
 mod steps;
 
 use std::fmt;
@@ -47,7 +48,7 @@ use crate::layers::team_attention::Sums;
 use crate::layers::unfold::UnfoldShape;
 use crate::layers::{SparseRows, TeamLists, VisibleLists};
 
-pub use parameters::{Gru, Linear, Norm, Parameters, Places, Tensor};
+pub use parameters::{Gru, Linear, Parameters, Places, Tensor};
 
 /// A matrix that a pass has computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -286,14 +287,6 @@ enum Operation {
     },
     LogSoftmax {
         x: Var,
-    },
-    Normalise {
-        x: Var,
-    },
-    /// Columns times and plus parameters.
-    Affine {
-        x: Var,
-        layer: Norm,
     },
     /// Of queries, and of keys and values. `weights` is where the attention weights begin in the arena, behind which the
     /// shares of the parts stand if there are any.
