@@ -34,6 +34,13 @@ pub struct Layer<'a> {
     pub bias: &'a [f32],
 }
 
+impl<'a> Layer<'a> {
+    /// A layer whose weights are stored as PyTorch does.
+    pub fn outputs_first(values: &'a [f32], bias: &'a [f32]) -> Self {
+        Self { weight: Matrix { values, layout: Layout::OutputsFirst }, bias }
+    }
+}
+
 /// A feed-forward attention network (dissertation section 7.3): embed, attend, two layers; of which the first may be
 /// missing, and past whose attention the own row's embedding may skip.
 #[derive(Clone, Copy, Debug)]
