@@ -11,20 +11,21 @@ pub const STEPS: i64 = 1_000_000_000_000;
 /// A share or a probability.
 pub const SHARE: Range = Number(0.0, 1.0);
 
-const fn key(name: &'static str, unit: &'static str, range: Range, about: &'static str) -> Key {
-    Key::new(name, unit, range, about)
-}
-
 /// Where a run of any method learns.
 pub const WHERE: [Section; 2] = [
     Section {
         name: "environment",
         about: "The world to learn in.",
         keys: &[
-            key("name", "", Text, "Name of the environment."),
-            key("set", "", Text, "Starts that episodes are drawn from; empty for the default."),
+            Key::new("name", "", Text, "Name of the environment."),
+            Key::new(
+                "set",
+                "",
+                Text,
+                "Starts that episodes are drawn from; empty for the default.",
+            ),
             INSTANCES,
-            key(
+            Key::new(
                 "failures",
                 "probability",
                 SHARE,
@@ -40,7 +41,7 @@ pub const WHERE: [Section; 2] = [
 ];
 
 /// Episodes that run at the same time.
-pub const INSTANCES: Key = key(
+pub const INSTANCES: Key = Key::new(
     "instances",
     "episodes",
     Whole(1, 4096),
