@@ -13,7 +13,7 @@ use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-pub use bars::{Axis, Bar, Bars, draw_bars, teams};
+pub use bars::{Bar, Bars, draw_bars, ends, teams};
 pub use curves::curves;
 
 use crate::error::LearnError;
