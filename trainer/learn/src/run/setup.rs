@@ -9,7 +9,7 @@ use sortie_envs::{Environment, Failing};
 use sortie_nn::layers::products::Products;
 use toml::{Table, Value};
 
-use crate::configuration::{self, RUN as RUN_SECTION, RunConfig, WHERE, WIDEST};
+use crate::configuration::{self, RUN as RUN_SECTION, RUN_KEYS, RunConfig, WHERE, WIDEST};
 use crate::error::LearnError;
 
 /// Where a run learns.
@@ -232,21 +232,20 @@ impl RunDescription {
 
     /// Reads the file's text.
     pub fn from_toml(text: &str) -> Result<Self, LearnError> {
-        let bad = |what: &str| LearnError::Config(what.to_owned());
+        #[derive(Deserialize)]
+        struct About {
+            method: String,
+            version: String,
+            seed: u64,
+            threads: usize,
+        }
         let mut table = configuration::parsed(text)?;
-        let mut take = |name: &str| table.remove(name).ok_or_else(|| bad(&format!("no `{name}`")));
-        let (method, version) = (take("method")?, take("version")?);
-        let (seed, threads) = (take("seed")?, take("threads")?);
+        let about = RUN_KEYS.iter().filter_map(|key| table.remove_entry(*key));
+        let bad = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
+        let About { method, version, seed, threads } =
+            about.collect::<Table>().try_into().map_err(bad)?;
         settle_older(&mut table);
-        let text = |value: toml::Value| value.as_str().map(str::to_owned);
-        let number = |value: toml::Value| value.as_integer().and_then(|n| u64::try_from(n).ok());
-        let method = text(method).ok_or_else(|| bad("`method` is not text"))?;
-        Ok(Self {
-            version: text(version).ok_or_else(|| bad("`version` is not text"))?,
-            seed: number(seed).ok_or_else(|| bad("`seed` is not a number"))?,
-            threads: number(threads).ok_or_else(|| bad("`threads` is not a number"))? as usize,
-            config: Setup::from_table(&method, table)?,
-        })
+        Ok(Self { version, seed, threads, config: Setup::from_table(&method, table)? })
     }
 }
 
