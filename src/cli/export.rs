@@ -308,12 +308,12 @@ impl Exported {
         let hidden = policy.hidden() as u32;
         let features = usize::from(self.contract.features);
         let Place { set, environment } = &self.first;
-        let mut recorder = Recorder::new(policy, features);
+        let mut recorder = Recorder::new(features);
         for round in 0..GOLDEN_ROUNDS {
             if recorder.cases.len() >= GOLDEN_CASES {
                 break;
             }
-            let mut team = PolicyTeam::new(&mut recorder);
+            let mut team = PolicyTeam::new(recorder.of(&mut *policy));
             evaluate(&**environment, &mut team, GOLDEN_EPISODES, seed.wrapping_add(round))?;
         }
         let golden = Golden { cases: recorder.cases, ..Golden::default() };

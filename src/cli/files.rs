@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 
 use sortie_bundle::files::{Durability, check_writable, read_file, replace_file};
 use sortie_bundle::{Bundle, Recording};
-use sortie_core::{DecideError, Decision, Observation, Policy};
+use sortie_core::Policy;
 use sortie_envs::golden::{Labels, Record, StartRecording};
 use sortie_envs::{Entry, Step};
 use sortie_learn::LearnError;
+use sortie_learn::draft::DecoratedPolicy;
 use sortie_learn::play::{Onlooker, Watched};
 
 use crate::failure::{Exit, Failure, Outcome};
@@ -74,47 +75,21 @@ pub fn write_output(path: &Path, content: &[u8]) -> Outcome {
     replace_file(path, content, Durability::Cached).map_err(|error| Failure::file(path, &error))
 }
 
+/// What observations of a bundle's agents are recorded in.
+pub fn recording_of(bundle: &Bundle) -> Recording {
+    let contract = bundle.contract();
+    Recording::new(contract.hash(), contract.features.into(), contract.actions.into())
+}
+
 /// A policy that records every observation that it decides on.
-pub struct RecordingPolicy<'a> {
+pub fn recording_policy<'a>(
     policy: &'a mut dyn Policy,
-    recording: Recording,
-}
-
-impl<'a> RecordingPolicy<'a> {
-    pub fn new(policy: &'a mut dyn Policy, bundle: &Bundle) -> Self {
-        let contract = bundle.contract();
-        let (features, actions) = (contract.features.into(), contract.actions.into());
-        Self { policy, recording: Recording::new(contract.hash(), features, actions) }
-    }
-
-    /// All that was recorded.
-    pub fn into_recording(self) -> Recording {
-        self.recording
-    }
-
-    /// Writes all that was recorded.
-    pub fn write(&self, path: &Path) -> Outcome {
-        write_output(path, &self.recording.to_bytes())
-    }
-}
-
-impl Policy for RecordingPolicy<'_> {
-    fn actions(&self) -> usize {
-        self.policy.actions()
-    }
-
-    fn utilities(
-        &mut self,
-        observation: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        self.policy.utilities(observation, utilities)
-    }
-
-    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        self.recording.add(observation);
-        self.policy.decide(observation)
-    }
+    recording: &'a mut Recording,
+) -> impl Policy + 'a {
+    DecoratedPolicy::new(policy, |policy, observation, hidden| {
+        recording.add(observation);
+        policy.decide_with(observation, hidden)
+    })
 }
 
 /// Reads a file of observations, whatever they are of.

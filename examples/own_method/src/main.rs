@@ -52,8 +52,8 @@ impl Independent {
             environment.observe(state, 0, EntitySet::MAX, &mut seen);
             batch.push(&seen);
         }
-        batch.aim_at(self.agents.shape.targets.entities());
-        batch.relate(self.agents.shape.targets.pairs());
+        let targets = &self.agents.shape.targets;
+        batch.aim_at(targets.entities(), targets.pairs());
         batch.finish(false);
         batch
     }

@@ -20,7 +20,7 @@ use crate::allocation::AllocatorChoice;
 use crate::allocator::ProposalArguments;
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure, Outcome};
-use crate::files::{EpisodeWriter, Kind, RecordingPolicy, try_output};
+use crate::files::{EpisodeWriter, Kind, recording_of, recording_policy, try_output, write_output};
 use crate::output::{Common, Table, plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy, PlanProfile};
 use crate::seeds::SeedRange;
@@ -270,10 +270,11 @@ impl Match<'_> {
                     let agents = Box::new(PolicyAgents::new(policy.as_mut()));
                     return self.watch(agents, allocator, seed, played);
                 };
-                let mut recorder = RecordingPolicy::new(policy.as_mut(), bundle);
-                let agents = Box::new(PolicyAgents::new(&mut recorder));
+                let mut recording = recording_of(bundle);
+                let recorder = recording_policy(policy.as_mut(), &mut recording);
+                let agents = Box::new(PolicyAgents::new(recorder));
                 let evaluation = self.watch(agents, allocator, seed, played)?;
-                recorder.write(file)?;
+                write_output(file, &recording.to_bytes())?;
                 Ok(evaluation)
             }
         }

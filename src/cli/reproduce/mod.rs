@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::files::{MOST_TEXT_BYTES, read_text};
-use sortie_learn::report::chart::{self, Axis, Bar, Bars};
+use sortie_learn::report::chart::{self, Bar, Bars};
 use sortie_learn::report::{self, Comparison, Group, RunRecord, Spread};
 use sortie_learn::session::Setup;
 
@@ -270,16 +270,16 @@ fn drawn(figure: &Figure, came: &Came<'_>) -> Result<String, Failure> {
         })
     });
     let bars: Vec<Bar<'_>> = bars.collect();
-    let (about, axis) = match figure.measures.first() {
-        Some(measure) if measure.key == "success" => ("share of solved episodes", Axis::SHARE),
+    let (about, ends) = match figure.measures.first() {
+        Some(measure) if measure.key == "success" => ("share of solved episodes", [0.0, 1.0]),
         measure => {
             let name = measure.map_or("", |measure| &*measure.name);
             let about = if by_measures { &*figure.about } else { name };
-            (about, Axis::of(bars.iter().map(|bar| &bar.spread)))
+            (about, chart::ends(bars.iter().map(|bar| &bar.spread)))
         }
     };
     let title = format!("{}: {about}", came.figure);
-    Ok(chart::draw_bars(&title, &Bars { about, labels, bars, axis })?)
+    Ok(chart::draw_bars(&title, &Bars { about, labels, bars, ends })?)
 }
 
 fn print(came: &Came<'_>) {

@@ -5,7 +5,7 @@ use sortie_bundle::{Bundle, OwnedAllocationState, Recording};
 use sortie_cli::allocation::Allocation;
 use sortie_cli::environment::ScenarioSetName;
 use sortie_cli::failure::Failure;
-use sortie_cli::files::RecordingPolicy;
+use sortie_cli::files::{recording_of, recording_policy};
 use sortie_cli::output::tell;
 use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask, Observation, Policy};
 use sortie_envs::{DecisionPoints, Split};
@@ -28,10 +28,12 @@ pub(super) fn record(
     seed: u64,
 ) -> Result<Recording, Failure> {
     let environment = set.open(Split::Test)?;
-    let mut recorder = RecordingPolicy::new(policy, bundle);
+    let mut recording = recording_of(bundle);
+    let mut recorder = recording_policy(policy, &mut recording);
     let rule = Box::new(Allocation::named("coordinated")?.measured());
     evaluate(&*environment, &mut allocated(&mut recorder, rule), EPISODES, seed)?;
-    Ok(recorder.into_recording())
+    drop(recorder);
+    Ok(recording)
 }
 
 /// The same of a scenario set without subtasks.
@@ -42,9 +44,11 @@ pub(super) fn record_without_subtasks(
     seed: u64,
 ) -> Result<Recording, Failure> {
     let environment = set.open(Split::Test)?;
-    let mut recorder = RecordingPolicy::new(policy, bundle);
-    evaluate(&*environment, &mut PolicyTeam::new(&mut recorder), EPISODES, seed)?;
-    Ok(recorder.into_recording())
+    let mut recording = recording_of(bundle);
+    let mut team = PolicyTeam::new(recording_policy(policy, &mut recording));
+    evaluate(&*environment, &mut team, EPISODES, seed)?;
+    drop(team);
+    Ok(recording)
 }
 
 /// Plays episodes with an allocator and keeps the states that it was asked about.

@@ -71,13 +71,6 @@ impl Evaluation {
         }
         let failed = |cause: &&str| episodes.iter().filter(|e| e.cause == Some(*cause)).count();
         let failures = spec.causes.iter().map(|cause| ((*cause).to_owned(), failed(cause)));
-        let reported = spec.metrics.iter().enumerate().filter(|(_, metric)| metric.is_reported);
-        let metric = |(index, metric): (usize, &Metric)| {
-            let values = episodes.iter().filter_map(|e| e.metrics.get(index).copied().flatten());
-            let values: Vec<f64> = values.collect();
-            let mean = values.iter().sum::<f64>() / values.len() as f64;
-            (!values.is_empty()).then(|| (metric.name.to_owned(), mean))
-        };
         Self {
             episodes: count,
             success: share(&|episode| episode.solved),
@@ -86,7 +79,7 @@ impl Evaluation {
             return_sd: (spread / count.saturating_sub(1).max(1) as f64).sqrt(),
             length_mean: mean(&|episode| f64::from(episode.steps)),
             timeouts: share(&|episode| episode.timed_out),
-            metrics: reported.filter_map(metric).collect(),
+            metrics: metric_means(spec, episodes.iter().map(|episode| &*episode.metrics)),
             failures: failures.collect(),
             by_team,
         }
@@ -127,6 +120,21 @@ impl Evaluation {
         pooled.success_ci95 = wilson_interval(solved, episodes);
         pooled
     }
+}
+
+/// Means of the metrics that evaluations tell, by their names, over the episodes that have such a value.
+pub(crate) fn metric_means<'a>(
+    spec: &Spec,
+    episodes: impl Iterator<Item = &'a [Option<f64>]> + Clone,
+) -> BTreeMap<String, f64> {
+    let reported = spec.metrics.iter().enumerate().filter(|(_, metric)| metric.is_reported);
+    let mean = |(index, metric): (usize, &Metric)| {
+        let values = episodes.clone().filter_map(|metrics| metrics.get(index).copied().flatten());
+        let values: Vec<f64> = values.collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        (!values.is_empty()).then(|| (metric.name.to_owned(), mean))
+    };
+    reported.filter_map(mean).collect()
 }
 
 /// The means of all metrics, over the parts that have them.

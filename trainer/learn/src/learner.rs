@@ -336,7 +336,7 @@ impl Optimiser {
     /// One that has taken no step yet.
     fn new(rule: Rule, parameters: usize) -> Self {
         match rule {
-            Rule::Adam => Self::Adam(Adam::new(parameters, 0.0)),
+            Rule::Adam => Self::Adam(Adam::new(parameters)),
             Rule::RmsProp => Self::RmsProp(RmsProp::new(parameters)),
         }
     }
@@ -350,7 +350,7 @@ impl Optimiser {
         learning_rate: f32,
     ) {
         match self {
-            Self::Adam(adam) => adam.step_by(rules, parameters, gradient, learning_rate),
+            Self::Adam(adam) => adam.step(rules, parameters, gradient, learning_rate),
             Self::RmsProp(rule) => rule.step(parameters, gradient, learning_rate),
         }
     }

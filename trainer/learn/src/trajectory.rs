@@ -38,23 +38,22 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod drawing;
 mod priorities;
+mod stream;
 
 use std::collections::VecDeque;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use sortie_envs::Random;
-use sortie_envs::random::below;
 
 use crate::error::LearnError;
 use crate::method::Transition;
 use crate::state::State;
 
+pub use drawing::Future;
 pub use priorities::{Priorities, importance};
-
-/// States that are stored, and forgotten, together.
-const BLOCK: u64 = 256;
+use stream::{BLOCK, Block, Stream};
 
 /// How much is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -107,17 +106,6 @@ pub struct Rewards<'a> {
     pub agents: &'a [f32],
 }
 
-/// What followed a state.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Future {
-    /// The state that is looked at next.
-    pub place: Place,
-    /// The discounted rewards of the team until there.
-    pub reward: f32,
-    /// What its value counts.
-    pub discount: f32,
-}
-
 /// A whole episode: so many steps, and a state more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Episode {
@@ -164,43 +152,6 @@ struct Earned {
     count: f64,
     sum: f64,
     squares: f64,
-}
-
-/// The states of one instance.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-#[serde(bound(deserialize = "N: Deserialize<'de>"))]
-struct Stream<N> {
-    blocks: VecDeque<Block<N>>,
-    /// Number of the first state in the first block.
-    first: u64,
-    /// Number of the first state that is kept.
-    kept_from: u64,
-    /// The number that the next state gets.
-    next: u64,
-    /// Number of the first state of the running episode.
-    running: u64,
-    /// Blocks to be used again.
-    #[serde(skip)]
-    spare: Vec<Block<N>>,
-}
-
-/// Some states of one instance, one behind the other.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-struct Block<N> {
-    states: Vec<Stored<N>>,
-    bytes: Vec<u8>,
-    actions: Vec<u16>,
-    /// Of every state the team's, then those of subtasks and agents.
-    rewards: Vec<f32>,
-}
-
-/// What stands together of a state, as a draw out of many millions waits for memory.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Stored<N> {
-    /// Where its bytes end.
-    bytes_end: u32,
-    end: End,
-    note: N,
 }
 
 impl Trajectories {
@@ -321,77 +272,6 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
         ((f64::from(reward) - mean) / deviation) as f32
     }
 
-    /// Whether there is a state that so many more follow, in which something was done.
-    pub fn can_draw(&self, steps: usize) -> bool {
-        // Of two states behind each other something was done in one.
-        self.streams.iter().any(|stream| (stream.next - stream.kept_from) as usize > steps + 1)
-    }
-
-    /// Draws a state that so many more follow, in which something was done. There needs to be one.
-    pub fn draw(&self, steps: usize, random: &mut Random) -> Place {
-        loop {
-            let place = self.draw_any(steps, random);
-            if self.end(place) != End::Nothing {
-                return place;
-            }
-        }
-    }
-
-    /// The same of any state, without looking at it.
-    pub fn draw_any(&self, steps: usize, random: &mut Random) -> Place {
-        loop {
-            let instance = below(random, self.streams.len());
-            let stream = &self.streams[instance];
-            let kept = (stream.next - stream.kept_from) as usize;
-            let ahead = below(random, kept.saturating_sub(steps)) as u64;
-            if kept > steps {
-                return Place { instance: instance as u32, number: stream.kept_from + ahead };
-            }
-        }
-    }
-
-    /// Reads a little of a state and of what was earned in it, so that both are on their way from memory.
-    pub fn fetch(&self, place: Place) -> u8 {
-        const CACHE_LINE: usize = 64;
-        let state = self.state(place);
-        let last = state.len().saturating_sub(1);
-        // Always as many: a loop of another length for each state would wait for the first of them.
-        let bytes = (0..8).map(|line| state.get((line * CACHE_LINE).min(last)));
-        let bytes = bytes.fold(0, |sum, byte| sum ^ byte.copied().unwrap_or(0));
-        bytes ^ self.rewards(place).team.to_bits() as u8
-    }
-
-    /// What followed a state within so many steps or until its episode ended.
-    pub fn future(&self, place: Place, steps: usize, discount: f32) -> Future {
-        let of_team = |place| (self.rewards(place).team, self.end(place));
-        self.future_of(place, steps, discount, of_team, |_| false)
-    }
-
-    /// The same of whom a step earned so much and left so, until a state in which it stops.
-    pub fn future_of(
-        &self,
-        place: Place,
-        steps: usize,
-        discount: f32,
-        earned: impl Fn(Place) -> (f32, End),
-        stops: impl Fn(Place) -> bool,
-    ) -> Future {
-        let mut future = Future { place, reward: 0.0, discount: 1.0 };
-        for _ in 0..steps {
-            let (reward, end) = earned(future.place);
-            if end == End::Nothing {
-                return Future { discount: 0.0, ..future };
-            }
-            future.reward += future.discount * reward;
-            future.discount *= if end == End::Over { 0.0 } else { discount };
-            future.place = future.place.after(1);
-            if end != End::Open || stops(future.place) {
-                break;
-            }
-        }
-        future
-    }
-
     /// Episodes that have ended since the run began.
     pub fn finished(&self) -> u64 {
         self.finished
@@ -405,15 +285,6 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
     /// The episodes that ended last, so many of those that are kept, in their order.
     pub fn latest(&self, count: usize) -> impl Iterator<Item = Episode> {
         self.episodes.iter().skip(self.episodes.len().saturating_sub(count)).copied()
-    }
-
-    /// Draws so many different episodes (Floyd's way); there need to be as many.
-    pub fn draw_episodes(&self, count: usize, random: &mut Random, drawn: &mut Vec<Episode>) {
-        drawn.clear();
-        for last in self.episodes.len() - count..self.episodes.len() {
-            let episode = self.episodes[below(random, last + 1)];
-            drawn.push(if drawn.contains(&episode) { self.episodes[last] } else { episode });
-        }
     }
 
     /// Whether a state has not been forgotten.
@@ -463,35 +334,6 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
         &mut stream.blocks[(at / BLOCK) as usize].states[(at % BLOCK) as usize].note
     }
 
-    /// The number of a state for [`Priorities`], among [`slots`](Self::slots): that of the state before it that it pushed out.
-    ///
-    /// # Panics
-    /// The capacity is in episodes.
-    pub fn slot(&self, place: Place) -> usize {
-        let kept = self.kept();
-        place.instance() * kept + (place.number % kept as u64) as usize
-    }
-
-    /// The latest state of a slot that was filled.
-    pub fn at(&self, slot: usize) -> Place {
-        let (instance, kept) = (slot / self.kept(), self.kept() as u64);
-        let last = self.streams[instance].next - 1;
-        let ahead = (last % kept + kept - slot as u64 % kept) % kept;
-        Place { instance: instance as u32, number: last - ahead }
-    }
-
-    /// How many slots there are.
-    pub fn slots(&self) -> usize {
-        self.streams.len() * self.kept()
-    }
-
-    fn kept(&self) -> usize {
-        match self.capacity {
-            Capacity::States(kept) => kept,
-            Capacity::Episodes(_) => panic!("slots are of states"),
-        }
-    }
-
     fn block(&self, place: Place) -> (&Block<N>, usize) {
         let stream = &self.streams[place.instance as usize];
         let at = place.number - stream.first;
@@ -533,49 +375,6 @@ impl Earned {
 impl Widths {
     fn rewards(self) -> usize {
         1 + self.tasks + self.earners
-    }
-}
-
-impl<N: Clone + Default> Stream<N> {
-    /// Adds a state; returns its block, in which all else about it is to follow.
-    fn write(&mut self, state: &[u8], end: End, note: N, widths: Widths) -> &mut Block<N> {
-        if self.next == self.first + self.blocks.len() as u64 * BLOCK {
-            let mut block = self.spare.pop().unwrap_or_default();
-            block.clear();
-            block.reserve(widths);
-            self.blocks.push_back(block);
-        }
-        self.next += 1;
-        let block = self.blocks.back_mut().expect("a block with room");
-        block.bytes.extend_from_slice(state);
-        block.states.push(Stored { bytes_end: block.bytes.len() as u32, end, note });
-        block
-    }
-
-    /// Forgets all states of smaller numbers.
-    fn forget_before(&mut self, number: u64) {
-        self.kept_from = self.kept_from.max(number);
-        while self.first + BLOCK <= self.kept_from {
-            self.spare.extend(self.blocks.pop_front());
-            self.first += BLOCK;
-        }
-    }
-}
-
-impl<N> Block<N> {
-    fn clear(&mut self) {
-        self.states.clear();
-        self.bytes.clear();
-        self.actions.clear();
-        self.rewards.clear();
-    }
-
-    /// Makes room for all that is to come but the bytes of states, whose number is not known.
-    fn reserve(&mut self, widths: Widths) {
-        let states = BLOCK as usize;
-        self.actions.reserve_exact(states * widths.agents);
-        self.rewards.reserve_exact(states * widths.rewards());
-        self.states.reserve_exact(states);
     }
 }
 

@@ -8,4 +8,3 @@ pub mod optimise;
 pub mod random;
 pub mod schedule;
 pub mod tape;
-pub mod workers;

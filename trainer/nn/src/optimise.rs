@@ -2,7 +2,7 @@
 //!
 //! All of them run over flat parameter vectors.
 
-use crate::layers::wide::{Work, run_widest};
+use crate::layers::wide::run_widest;
 
 /// Scales the gradient so that its Euclidean norm is at most `limit`; returns the norm before.
 ///
@@ -18,31 +18,19 @@ pub fn clip_norm(gradient: &mut [f32], limit: f32) -> f32 {
 
 /// Moves `average` a share `rate` of the way towards `values`.
 pub fn move_towards(average: &mut [f32], values: &[f32], rate: f32) {
-    run_widest(MoveTowards { average, values, rate });
-}
-
-struct MoveTowards<'a> {
-    average: &'a mut [f32],
-    values: &'a [f32],
-    rate: f32,
-}
-
-impl Work for MoveTowards<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        for (average, value) in self.average.iter_mut().zip(self.values) {
-            *average += self.rate * (value - *average);
-        }
-    }
+    run_widest(
+        #[inline(always)]
+        || {
+            for (average, value) in average.iter_mut().zip(values) {
+                *average += rate * (value - *average);
+            }
+        },
+    );
 }
 
 /// The Adam optimiser (Kingma and Ba 2015), with bias correction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adam {
-    /// Added to the denominator.
-    pub epsilon: f32,
     /// Running mean of the gradient.
     pub mean: Vec<f32>,
     /// Running mean of the squared gradient.
@@ -71,86 +59,44 @@ impl Adam {
     const DECAY_SQUARE: f32 = 0.999;
 
     /// An optimiser that has taken no step yet.
-    pub fn new(parameters: usize, epsilon: f32) -> Self {
-        Self { epsilon, mean: vec![0.0; parameters], square: vec![0.0; parameters], steps: 0 }
+    pub fn new(parameters: usize) -> Self {
+        Self { mean: vec![0.0; parameters], square: vec![0.0; parameters], steps: 0 }
     }
 
-    /// Takes one step down the gradient of a whole vector as the rules say.
-    pub fn step_by(
+    /// Takes one step down the gradient, which has a number for every parameter.
+    pub fn step(
         &mut self,
         rules: AdamRules,
         parameters: &mut [f32],
         gradient: &[f32],
         learning_rate: f32,
     ) {
-        let AdamRules { epsilon, early_epsilon, decay } = rules;
-        self.epsilon = epsilon;
+        self.steps += 1;
+        let AdamRules { mut epsilon, early_epsilon, decay } = rules;
         if early_epsilon {
             // Before the correction: what is added is corrected as well.
-            let correction = 1.0 - 0.999_f64.powf((self.steps + 1) as f64);
-            self.epsilon = (f64::from(epsilon) / correction.sqrt()) as f32;
+            let correction = 1.0 - 0.999_f64.powf(self.steps as f64);
+            epsilon = (f64::from(epsilon) / correction.sqrt()) as f32;
         }
-        if decay == 0.0 {
-            self.step(&mut [parameters], gradient, learning_rate);
-            return;
-        }
-        let slopes = gradient.iter().zip(&*parameters);
-        let decayed: Vec<f32> = slopes.map(|(slope, weight)| slope + decay * weight).collect();
-        self.step(&mut [&mut *parameters], &decayed, learning_rate);
-        for number in parameters.iter_mut().chain(&mut self.mean) {
-            if number.abs() < NOTHING {
-                *number = 0.0;
-            }
-        }
-    }
-
-    /// Takes one step down the gradient, which has a number for every parameter of every part.
-    pub fn step(&mut self, parts: &mut [&mut [f32]], gradient: &[f32], learning_rate: f32) {
-        self.steps += 1;
         let correction = |decay: f32| (1.0 - f64::from(decay).powf(self.steps as f64)) as f32;
         let rate = learning_rate / correction(Self::DECAY_MEAN);
         let square_scale = 1.0 / correction(Self::DECAY_SQUARE);
-        let mut start = 0;
-        for part in parts {
-            let range = start..start + part.len();
-            start = range.end;
-            run_widest(AdamStep {
-                parameters: part,
-                gradient: &gradient[range.clone()],
-                mean: &mut self.mean[range.clone()],
-                square: &mut self.square[range],
-                rate,
-                square_scale,
-                epsilon: self.epsilon,
-            });
-        }
-    }
-}
-
-struct AdamStep<'a> {
-    parameters: &'a mut [f32],
-    gradient: &'a [f32],
-    mean: &'a mut [f32],
-    square: &'a mut [f32],
-    rate: f32,
-    square_scale: f32,
-    epsilon: f32,
-}
-
-impl Work for AdamStep<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { rate, square_scale, epsilon, .. } = self;
-        let moments = self.mean.iter_mut().zip(self.square);
-        for ((parameter, gradient), (mean, square)) in
-            self.parameters.iter_mut().zip(self.gradient).zip(moments)
-        {
-            *mean += (1.0 - Adam::DECAY_MEAN) * (gradient - *mean);
-            *square += (1.0 - Adam::DECAY_SQUARE) * (gradient * gradient - *square);
-            *parameter -= rate * *mean / ((*square * square_scale).sqrt() + epsilon);
-        }
+        let decays = decay != 0.0;
+        let settled = |number: f32| if decays && number.abs() < NOTHING { 0.0 } else { number };
+        let moments = self.mean.iter_mut().zip(&mut self.square);
+        let all = parameters.iter_mut().zip(gradient).zip(moments);
+        run_widest(
+            #[inline(always)]
+            || {
+                for ((parameter, gradient), (mean, square)) in all {
+                    let slope = if decays { gradient + decay * *parameter } else { *gradient };
+                    *mean += (1.0 - Self::DECAY_MEAN) * (slope - *mean);
+                    *square += (1.0 - Self::DECAY_SQUARE) * (slope * slope - *square);
+                    *parameter -= rate * *mean / ((*square * square_scale).sqrt() + epsilon);
+                    (*parameter, *mean) = (settled(*parameter), settled(*mean));
+                }
+            },
+        );
     }
 }
 
@@ -172,34 +118,24 @@ impl RmsProp {
 
     /// Takes one step down the gradient, which has a number for every parameter.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], learning_rate: f32) {
-        run_widest(RmsPropStep { parameters, gradient, square: &mut self.square, learning_rate });
-    }
-}
-
-struct RmsPropStep<'a> {
-    parameters: &'a mut [f32],
-    gradient: &'a [f32],
-    square: &'a mut [f32],
-    learning_rate: f32,
-}
-
-impl Work for RmsPropStep<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        for ((parameter, gradient), square) in
-            self.parameters.iter_mut().zip(self.gradient).zip(self.square)
-        {
-            *square = RmsProp::DECAY * *square + (1.0 - RmsProp::DECAY) * gradient * gradient;
-            *parameter -= self.learning_rate * gradient / (square.sqrt() + RmsProp::EPSILON);
-        }
+        let parameters = parameters.iter_mut().zip(gradient).zip(&mut self.square);
+        run_widest(
+            #[inline(always)]
+            || {
+                for ((parameter, gradient), square) in parameters {
+                    *square = Self::DECAY * *square + (1.0 - Self::DECAY) * gradient * gradient;
+                    *parameter -= learning_rate * gradient / (square.sqrt() + Self::EPSILON);
+                }
+            },
+        );
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const RULES: AdamRules = AdamRules { epsilon: 1e-5, early_epsilon: false, decay: 0.0 };
 
     #[test]
     fn clipping_keeps_the_direction_and_the_limit() {
@@ -212,11 +148,11 @@ mod tests {
 
     #[test]
     fn first_adam_steps_agree_with_the_formula() {
-        let mut adam = Adam::new(1, 1e-5);
+        let mut adam = Adam::new(1);
         let mut parameter = [1.0];
-        adam.step(&mut [&mut parameter], &[0.5], 0.1);
+        adam.step(RULES, &mut parameter, &[0.5], 0.1);
         assert!((parameter[0] - (1.0 - 0.1 * 0.5 / (0.5 + 1e-5))).abs() < 1e-6);
-        adam.step(&mut [&mut parameter], &[-0.25], 0.1);
+        adam.step(RULES, &mut parameter, &[-0.25], 0.1);
         let mean = (0.9 * 0.1 * 0.5 + 0.1 * -0.25) / (1.0 - 0.81);
         let square = (0.999 * 0.001 * 0.25 + 0.001 * 0.0625) / (1.0 - 0.999_f32.powi(2));
         let want = 1.0 - 0.1 * 0.5 / (0.5 + 1e-5) - 0.1 * mean / (square.sqrt() + 1e-5);
@@ -224,26 +160,13 @@ mod tests {
     }
 
     #[test]
-    fn parts_move_as_one_vector_does() {
-        let (gradient, mut whole) = ([0.5, -0.25, 2.0], [1.0, 2.0, 3.0]);
-        let (mut first, mut second) = ([1.0], [2.0, 3.0]);
-        let (mut by_parts, mut at_once) = (Adam::new(3, 1e-5), Adam::new(3, 1e-5));
-        for _ in 0..3 {
-            by_parts.step(&mut [&mut first, &mut second], &gradient, 0.1);
-            at_once.step(&mut [&mut whole], &gradient, 0.1);
-        }
-        assert_eq!(by_parts, at_once);
-        assert_eq!([first[0], second[0], second[1]], whole);
-    }
-
-    #[test]
     fn weights_that_only_decay_end_at_zero_and_never_as_denormal_numbers() {
         let rules = AdamRules { epsilon: 1e-8, early_epsilon: true, decay: 1e-3 };
-        let (mut adam, mut weights) = (Adam::new(2, 1e-8), [0.3, 0.3]);
+        let (mut adam, mut weights) = (Adam::new(2), [0.3, 0.3]);
         for time in 0..40_000 {
             // The first is of a unit that served somebody once, the second of one that still does.
             let once = if time < 10 { 1.0 } else { 0.0 };
-            adam.step_by(rules, &mut weights, &[once, 1.0 - 2.0 * (time % 2) as f32], 1e-3);
+            adam.step(rules, &mut weights, &[once, 1.0 - 2.0 * (time % 2) as f32], 1e-3);
             let small = |number: &f32| *number != 0.0 && number.abs() < NOTHING;
             assert!(!weights.iter().chain(&adam.mean).any(small), "{time}: {weights:?} {adam:?}");
         }
@@ -254,9 +177,9 @@ mod tests {
     #[test]
     fn what_is_added_early_is_corrected_as_well() {
         let step = |early_epsilon: bool, epsilon: f32| {
-            let (mut adam, mut weight) = (Adam::new(1, 0.0), [1.0]);
+            let (mut adam, mut weight) = (Adam::new(1), [1.0]);
             let rules = AdamRules { epsilon, early_epsilon, decay: 0.0 };
-            adam.step_by(rules, &mut weight, &[0.5], 0.1);
+            adam.step(rules, &mut weight, &[0.5], 0.1);
             weight[0]
         };
         // The square of the first step counts a thousandth.
@@ -266,11 +189,11 @@ mod tests {
 
     #[test]
     fn adam_finds_the_bottom_of_a_bowl() {
-        let mut adam = Adam::new(2, 1e-5);
+        let mut adam = Adam::new(2);
         let mut at = [3.0, -2.0];
         for step in 0..2000 {
             let slope = [2.0 * (at[0] - 1.0), 8.0 * (at[1] - 0.5)];
-            adam.step(&mut [&mut at], &slope, 0.05 * (1.0 - step as f32 / 2000.0));
+            adam.step(RULES, &mut at, &slope, 0.05 * (1.0 - step as f32 / 2000.0));
         }
         assert!((at[0] - 1.0).abs() < 1e-3 && (at[1] - 0.5).abs() < 1e-3, "{at:?}");
     }

@@ -9,9 +9,9 @@ use std::sync::atomic::AtomicBool;
 use sortie_bundle::{Bundle, Recording};
 use sortie_compiler::{compile, compile_rounded};
 use sortie_core::plan::{AlignedBytes, Plan, Profile};
-use sortie_core::{DecideError, Decision, Observation, PlanPolicy, Policy};
+use sortie_core::{PlanPolicy, Policy};
 use sortie_envs::Environment;
-use sortie_learn::draft::{MethodRun, draft_method};
+use sortie_learn::draft::{DecoratedPolicy, MethodRun, draft_method};
 use sortie_learn::play::{PolicyTeam, evaluate};
 use sortie_learn::run::{RunConfig, RunDescription};
 use sortie_learn::session::{EnvironmentChoice, Opening, Session};
@@ -44,31 +44,6 @@ fn learned(folder: &Path) -> Bundle {
     draft.write(&folder.join("bundle")).unwrap()
 }
 
-/// Decides, and keeps what it decides on.
-struct Recorder<'a, P> {
-    policy: P,
-    recording: &'a mut Recording,
-}
-
-impl<P: Policy> Policy for Recorder<'_, P> {
-    fn actions(&self) -> usize {
-        self.policy.actions()
-    }
-
-    fn utilities(
-        &mut self,
-        observation: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        self.policy.utilities(observation, utilities)
-    }
-
-    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        self.recording.add(observation);
-        self.policy.decide(observation)
-    }
-}
-
 #[test]
 fn agents_that_point_keep_their_actions_as_plans() {
     let folder = tempfile::tempdir().unwrap();
@@ -89,7 +64,10 @@ fn agents_that_point_keep_their_actions_as_plans() {
 
     let shape = yard.spec().shape;
     let mut recording = Recording::new(bundle.contract().hash(), shape.features, shape.actions);
-    let recorder = Recorder { policy, recording: &mut recording };
+    let recorder = DecoratedPolicy::new(policy, |policy, observation, hidden| {
+        recording.add(observation);
+        policy.decide_with(observation, hidden)
+    });
     let episodes = LEAST_OBSERVATIONS / shape.agents / 5;
     let found = evaluate(&yard, &mut PolicyTeam::new(recorder), episodes, 3).unwrap();
     assert!(found.return_mean > 0.7, "{found:?}");

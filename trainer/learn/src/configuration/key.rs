@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use strsim::levenshtein;
 use toml::Value;
 
 /// Keys that stand together in a file, under a heading.
@@ -131,27 +132,12 @@ pub fn paths(sections: &[Section]) -> impl Iterator<Item = String> {
 pub(super) fn nearest_path(sections: &[Section], path: &str) -> Option<String> {
     let name = |path: &str| path.rsplit('.').next().unwrap_or_default().to_owned();
     let near = |other: &String| {
-        let whole = distance(path, other);
+        let whole = levenshtein(path, other);
         // Its section may be missing or another.
-        whole.min(distance(&name(path), &name(other)) + 1)
+        whole.min(levenshtein(&name(path), &name(other)) + 1)
     };
     let best = paths(sections).min_by_key(near)?;
     (near(&best) <= 1 + name(path).chars().count() / 4).then_some(best)
-}
-
-/// Letters to add, remove or replace on the way from one word to another.
-fn distance(from: &str, to: &str) -> usize {
-    let to: Vec<char> = to.chars().collect();
-    let mut row: Vec<usize> = (0..=to.len()).collect();
-    for (index, letter) in from.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], index + 1);
-        for (place, other) in to.iter().enumerate() {
-            let replaced = diagonal + usize::from(letter != *other);
-            diagonal = row[place + 1];
-            row[place + 1] = replaced.min(diagonal + 1).min(row[place] + 1);
-        }
-    }
-    row[to.len()]
 }
 
 #[cfg(test)]
@@ -174,12 +160,5 @@ mod tests {
             Range::Said(|text| text.bytes().all(|byte| byte.is_ascii_lowercase()), "lower case");
         assert!(lower.holds(&Value::String("foo".to_owned())));
         assert!(!lower.holds(&Value::String("Foo".to_owned())));
-    }
-
-    #[test]
-    fn distances_count_letters() {
-        assert_eq!(distance("batsch", "batch"), 1);
-        assert_eq!(distance("", "abc"), 3);
-        assert_eq!(distance("kitten", "sitting"), 3);
     }
 }

@@ -11,20 +11,21 @@ pub const STEPS: i64 = 1_000_000_000_000;
 /// A share or a probability.
 pub const SHARE: Range = Number(0.0, 1.0);
 
-const fn key(name: &'static str, unit: &'static str, range: Range, about: &'static str) -> Key {
-    Key::new(name, unit, range, about)
-}
-
 /// Where a run of any method learns.
 pub const WHERE: [Section; 2] = [
     Section {
         name: "environment",
         about: "The world to learn in.",
         keys: &[
-            key("name", "", Text, "Name of the environment."),
-            key("set", "", Text, "Starts that episodes are drawn from; empty for the default."),
+            Key::new("name", "", Text, "Name of the environment."),
+            Key::new(
+                "set",
+                "",
+                Text,
+                "Starts that episodes are drawn from; empty for the default.",
+            ),
             INSTANCES,
-            key(
+            Key::new(
                 "failures",
                 "probability",
                 SHARE,
@@ -40,7 +41,7 @@ pub const WHERE: [Section; 2] = [
 ];
 
 /// Episodes that run at the same time.
-pub const INSTANCES: Key = key(
+pub const INSTANCES: Key = Key::new(
     "instances",
     "episodes",
     Whole(1, 4096),
@@ -109,57 +110,39 @@ pub const fn exploration(steps: &'static str) -> [Key; 4] {
     keys
 }
 
+section! {
+    /// How long to learn, and when to measure and save.
+    #[serde(default)]
+    RunConfig, OF_RUN;
+
+    /// Folder of a run whose weights this one begins with; empty for a run from scratch.
+    from: String = String::new(), Text;
+    /// Instructions of matrix products, which decide the last bits of every result; `widest`, what the processor
+    /// has, becomes the name of what that is as soon as a run begins.
+    products: String = WIDEST.to_owned(), OneOf(&[WIDEST, "avx512", "avx2", "neon", "plain"]);
+    /// How long to learn.
+    steps: u64 = 600_000, Whole(1, STEPS), "environment steps";
+    /// When a run ends that has not taken all steps, evaluations included; what goes by shares of the run follows. 0:
+    /// never, and only such runs repeat byte for byte.
+    cpu_seconds: f64 = 0.0, Number(0.0, 1e9), "processor seconds";
+    /// From one evaluation, and checkpoint, to the next.
+    evaluate_every: u64 = 50_000, Whole(1, STEPS), "environment steps";
+    /// Greedy episodes of an evaluation.
+    evaluate_episodes: usize = 500, Whole(1, 1_000_000), "episodes";
+    /// Greedy episodes of the evaluation at the end, fresh ones that were never used before; 0 leaves it out.
+    final_episodes: usize = 2_000, Whole(0, 1_000_000), "episodes";
+    /// From one checkpoint to the next, besides those of evaluations.
+    checkpoint_minutes: f64 = 5.0, Positive(1e6), "minutes";
+}
+
+/// What `run.products` says where the processor decides.
+pub const WIDEST: &str = "widest";
+
 /// How long a run of any method learns.
 pub const RUN: Section = Section {
     name: "run",
     about: "How long to learn, and when to measure and save.",
-    keys: &[
-        key(
-            "from",
-            "",
-            Text,
-            "Folder of a run whose weights this one begins with; empty for a run from scratch.",
-        ),
-        key(
-            "products",
-            "",
-            OneOf(&["widest", "avx512", "avx2", "neon", "plain"]),
-            "Instructions of matrix products, which decide the last bits of every result; `widest`, what the processor \
-             has, becomes the name of what that is as soon as a run begins.",
-        ),
-        key("steps", "environment steps", Whole(1, STEPS), "How long to learn."),
-        key(
-            "cpu_seconds",
-            "processor seconds",
-            Number(0.0, 1e9),
-            "When a run ends that has not taken all steps, evaluations included; what goes by shares of the run follows. 0: \
-             never, and only such runs repeat byte for byte.",
-        ),
-        key(
-            "evaluate_every",
-            "environment steps",
-            Whole(1, STEPS),
-            "From one evaluation, and checkpoint, to the next.",
-        ),
-        key(
-            "evaluate_episodes",
-            "episodes",
-            Whole(1, 1_000_000),
-            "Greedy episodes of an evaluation.",
-        ),
-        key(
-            "final_episodes",
-            "episodes",
-            Whole(0, 1_000_000),
-            "Greedy episodes of the evaluation at the end, fresh ones that were never used before; 0 leaves it out.",
-        ),
-        key(
-            "checkpoint_minutes",
-            "minutes",
-            Positive(1e6),
-            "From one checkpoint to the next, besides those of evaluations.",
-        ),
-    ],
+    keys: OF_RUN,
 };
 
 #[cfg(test)]

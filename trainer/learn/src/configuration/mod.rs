@@ -16,8 +16,8 @@ pub(crate) use key::find;
 use key::nearest_path;
 pub use key::{Key, Range, Section, paths};
 pub use keys::{
-    EXPLORATION, ExplorationConfig, INSTANCES, OPTIMISER, OptimiserConfig, RUN, SHARE, STEPS,
-    WHERE, exploration,
+    EXPLORATION, ExplorationConfig, INSTANCES, OPTIMISER, OptimiserConfig, RUN, RunConfig, SHARE,
+    STEPS, WHERE, WIDEST, exploration,
 };
 
 use crate::error::LearnError;

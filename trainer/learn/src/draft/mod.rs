@@ -10,14 +10,15 @@ use std::path::Path;
 use sortie_bundle::files::{MOST_BYTES, read_file};
 use sortie_bundle::{
     AGENT, ALLOCATOR, AgentGraph, CARD, CONTRACT_ABI, CURVE, CURVE_DATA, ContractV1, Draft,
-    Environment as Described, FallbackAllocation, Golden, GoldenCase, Limits, Network,
-    OPTION_GRAPHS, OPTIONS, POLICY, POLICY_ROLES, PROPOSAL_PARTS, PROPOSALS, PolicyRoles,
+    Environment as Described, FallbackAllocation, Golden, GoldenCase, GoldenEpisode, Limits,
+    Network, OPTION_GRAPHS, OPTIONS, POLICY, POLICY_ROLES, PROPOSAL_PARTS, PROPOSALS, PolicyRoles,
     SubtaskConditioning, TEAM_VALUE, TRAINING,
 };
 use sortie_core::Policy;
 use sortie_envs::{Environment, Shape, Spec};
 
 use self::allocations::golden_allocations;
+use self::recorder::recorded_episode;
 use crate::error::LearnError;
 use crate::export::{
     AGENT_NUMBER, AgentNetwork, DeployedAgents, DeployedNetworks, ExportError, OwnRowNetworks,
@@ -31,7 +32,7 @@ use crate::subtasks::{
 };
 
 pub use card::{Measured, measured_table};
-pub use recorder::{EpisodeRecorder, Recorder};
+pub use recorder::{DecoratedPolicy, Recorder};
 
 /// Episodes that golden observations are drawn from.
 const GOLDEN_EPISODES: usize = 400;
@@ -109,10 +110,10 @@ fn golden(
 ) -> Result<Golden, LearnError> {
     let environment = run.environment;
     let mut golden = Golden::default();
-    let mut recorder = Recorder::new(&mut *policy, environment.spec().shape.features);
+    let mut recorder = Recorder::new(environment.spec().shape.features);
     if let Some(subtasks) = run.method.subtasks() {
         let usual = environment.spec().rules.first().map_or("", |rule| rule.name);
-        let agents = Box::new(PolicyAgents::new(&mut recorder as &mut dyn Policy));
+        let agents = Box::new(PolicyAgents::new(recorder.of(&mut *policy)));
         let rule = Box::new(RuleAllocator(usual));
         let mut team = AllocatedTeam::new(agents, rule, subtasks.interval);
         evaluate(environment, &mut team, ALLOCATED_EPISODES, seed)?;
@@ -123,12 +124,14 @@ fn golden(
     }
     let runs_options = matches!(networks, DeployedNetworks::Options { .. });
     let episodes = if runs_options { OPTION_CASES } else { GOLDEN_EPISODES };
-    evaluate(environment, &mut PolicyTeam::new(&mut recorder), episodes, seed)?;
+    evaluate(environment, &mut PolicyTeam::new(recorder.of(&mut *policy)), episodes, seed)?;
     golden.cases = recorder.cases;
     for index in 0..if runs_options { WHOLE_EPISODES } else { 0 } {
-        let mut team = PolicyTeam::new(EpisodeRecorder::new(&mut *policy));
+        let mut episode = GoldenEpisode::default();
+        let mut team = PolicyTeam::new(recorded_episode(&mut *policy, &mut episode));
         evaluate(environment, &mut team, 1, seed.wrapping_add(index))?;
-        golden.episodes.push(team.into_policy().episode);
+        drop(team);
+        golden.episodes.push(episode);
     }
     Ok(golden)
 }

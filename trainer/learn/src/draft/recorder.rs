@@ -9,23 +9,28 @@ const GOLDEN_CASES: usize = 256;
 /// One of so many decisions becomes golden, so that they come from many episodes.
 const GOLDEN_STRIDE: usize = 37;
 
-/// Decides, and keeps every so many-th decision.
-pub struct Recorder<P> {
+/// A policy whose decisions a function takes in its place, with what the agent remembers, and may keep.
+pub struct DecoratedPolicy<P, D> {
     policy: P,
-    features: usize,
-    decisions: usize,
-    /// What was kept.
-    pub cases: Vec<GoldenCase>,
+    decide: D,
 }
 
-impl<P: Policy> Recorder<P> {
-    /// Keeps decisions of this policy, which sees rows of so many features.
-    pub fn new(policy: P, features: usize) -> Self {
-        Self { policy, features, decisions: 0, cases: Vec::new() }
+impl<P, D> DecoratedPolicy<P, D>
+where
+    P: Policy,
+    D: FnMut(&mut P, &Observation<'_>, &mut [f32]) -> Result<Decision, DecideError>,
+{
+    /// Decides by this function.
+    pub fn new(policy: P, decide: D) -> Self {
+        Self { policy, decide }
     }
 }
 
-impl<P: Policy> Policy for Recorder<P> {
+impl<P, D> Policy for DecoratedPolicy<P, D>
+where
+    P: Policy,
+    D: FnMut(&mut P, &Observation<'_>, &mut [f32]) -> Result<Decision, DecideError>,
+{
     fn actions(&self) -> usize {
         self.policy.actions()
     }
@@ -46,72 +51,57 @@ impl<P: Policy> Policy for Recorder<P> {
         self.policy.hidden()
     }
 
-    /// What is kept is the answer of an agent with an empty memory.
     fn decide_with(
         &mut self,
         observation: &Observation<'_>,
         hidden: &mut [f32],
     ) -> Result<Decision, DecideError> {
-        let mut utilities = vec![0.0; self.actions()];
-        let mut empty = vec![0.0; hidden.len()];
-        self.policy.utilities_with(observation, &mut empty, &mut utilities)?;
-        empty.fill(0.0);
-        let decision = self.policy.decide_with(observation, &mut empty)?;
-        self.decisions += 1;
-        if self.decisions % GOLDEN_STRIDE == 1 && self.cases.len() < GOLDEN_CASES {
-            let observation = OwnedObservation::copy_of(observation, self.features);
-            self.cases.push(GoldenCase { observation, utilities, action: decision.action });
-        }
-        if hidden.is_empty() { Ok(decision) } else { self.policy.decide_with(observation, hidden) }
+        (self.decide)(&mut self.policy, observation, hidden)
     }
 }
 
-/// Decides for an agent that runs options, and keeps every tick of its episode.
-pub struct EpisodeRecorder<P> {
-    policy: P,
+/// Keeps every so many-th decision: the answer of an agent with an empty memory.
+#[derive(Debug)]
+pub struct Recorder {
+    features: usize,
+    decisions: usize,
     /// What was kept.
-    pub episode: GoldenEpisode,
+    pub cases: Vec<GoldenCase>,
 }
 
-impl<P: Policy> EpisodeRecorder<P> {
-    /// Keeps the ticks of this policy.
-    pub fn new(policy: P) -> Self {
-        Self { policy, episode: GoldenEpisode::default() }
+impl Recorder {
+    /// Keeps decisions on rows of so many features.
+    pub fn new(features: usize) -> Self {
+        Self { features, decisions: 0, cases: Vec::new() }
+    }
+
+    /// A policy of whose decisions some are kept.
+    pub fn of<'a>(&'a mut self, policy: impl Policy + 'a) -> impl Policy + 'a {
+        DecoratedPolicy::new(policy, |policy, observation, hidden| {
+            let mut utilities = vec![0.0; policy.actions()];
+            let mut empty = vec![0.0; hidden.len()];
+            policy.utilities_with(observation, &mut empty, &mut utilities)?;
+            empty.fill(0.0);
+            let decision = policy.decide_with(observation, &mut empty)?;
+            self.decisions += 1;
+            if self.decisions % GOLDEN_STRIDE == 1 && self.cases.len() < GOLDEN_CASES {
+                let observation = OwnedObservation::copy_of(observation, self.features);
+                self.cases.push(GoldenCase { observation, utilities, action: decision.action });
+            }
+            if hidden.is_empty() { Ok(decision) } else { policy.decide_with(observation, hidden) }
+        })
     }
 }
 
-impl<P: Policy> Policy for EpisodeRecorder<P> {
-    fn actions(&self) -> usize {
-        self.policy.actions()
-    }
-
-    fn utilities(
-        &mut self,
-        observation: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        self.policy.utilities(observation, utilities)
-    }
-
-    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        self.policy.decide(observation)
-    }
-
-    fn hidden(&self) -> usize {
-        self.policy.hidden()
-    }
-
-    fn decide_with(
-        &mut self,
-        observation: &Observation<'_>,
-        hidden: &mut [f32],
-    ) -> Result<Decision, DecideError> {
-        let decision = self.policy.decide_with(observation, hidden)?;
+/// Keeps every tick of the episode of a policy that runs options.
+pub(super) fn recorded_episode(policy: impl Policy, episode: &mut GoldenEpisode) -> impl Policy {
+    DecoratedPolicy::new(policy, move |policy, observation, hidden| {
+        let decision = policy.decide_with(observation, hidden)?;
         let (ones, others) = GoldenTick::sparse(observation.rows);
         if let Some(Pursuit { goal, steps }) = Pursuit::of(hidden) {
             let (goal, chose, action) = (goal as u16, steps == 1, decision.action);
-            self.episode.ticks.push(GoldenTick { ones, others, goal, chose, action });
+            episode.ticks.push(GoldenTick { ones, others, goal, chose, action });
         }
         Ok(decision)
-    }
+    })
 }

@@ -27,7 +27,7 @@ pub fn agent_onnx(network: &AgentNetwork<'_>) -> Result<Vec<u8>, ExportError> {
 }
 
 /// The inputs of every agent's graph.
-const INPUTS: Inputs<'_> = Inputs { rows: "entities", own: Some("self_index"), visible: "visible" };
+const INPUTS: Inputs<'_> = Inputs { rows: "entities", own: "self_index", visible: "visible" };
 
 /// What every agent's graph says of itself.
 const DOC: &str = "Utilities of one agent. Masked entities have no influence; an agent that sees \

@@ -34,6 +34,13 @@ pub struct Layer<'a> {
     pub bias: &'a [f32],
 }
 
+impl<'a> Layer<'a> {
+    /// A layer whose weights are stored as PyTorch does.
+    pub fn outputs_first(values: &'a [f32], bias: &'a [f32]) -> Self {
+        Self { weight: Matrix { values, layout: Layout::OutputsFirst }, bias }
+    }
+}
+
 /// A feed-forward attention network (dissertation section 7.3): embed, attend, two layers; of which the first may be
 /// missing, and past whose attention the own row's embedding may skip.
 #[derive(Clone, Copy, Debug)]
@@ -129,17 +136,17 @@ pub enum ExportError {
 
 /// What the layers read, by the names of values in the graph.
 #[derive(Clone, Copy, Debug)]
-pub struct Inputs<'a> {
+pub(super) struct Inputs<'a> {
     /// Rows f32 `[N, D]`.
-    pub rows: &'a str,
-    /// The row that forms the query, i64 `[1]`; none: every row forms one.
-    pub own: Option<&'a str>,
+    pub(super) rows: &'a str,
+    /// The row that forms the query, i64 `[1]`.
+    pub(super) own: &'a str,
     /// What it attends to, bool `[N]`.
-    pub visible: &'a str,
+    pub(super) visible: &'a str,
 }
 
 /// Adds the network's nodes; the last one gives `output` `[U]`.
-pub fn add_network(
+pub(super) fn add_network(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
     inputs: Inputs<'_>,
@@ -150,100 +157,78 @@ pub fn add_network(
 }
 
 /// Adds the nodes in front of the head and returns the names of the embedding `[N, E]` and of the last one, `[1, R]`.
-pub fn add_base(
+pub(super) fn add_base(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
     inputs: Inputs<'_>,
     attention_relu: bool,
 ) -> Result<(String, String), ExportError> {
-    let (embedding, attended) = add_attention(graph, network, inputs, attention_relu)?;
-    Ok((embedding, add_second(graph, network, &attended)?))
-}
-
-/// Adds the embedding `[N, E]` and the attention `[1, E]`, or `[N, E]` where every row asks; returns both names.
-pub fn add_attention(
-    graph: &mut Graph,
-    network: &AttentionNetwork<'_>,
-    inputs: Inputs<'_>,
-    relu: bool,
-) -> Result<(String, String), ExportError> {
-    let AttentionNetwork { inputs: columns, width, heads, .. } = *network;
+    let AttentionNetwork { inputs: columns, width, heads, base, .. } = *network;
     if heads == 0 || !width.is_multiple_of(heads) {
         return Err(ExportError::Heads { heads, width });
     }
     let fc1 = layer(graph, "fc1", inputs.rows, &network.fc1, [columns, width])?;
     let embedding = graph.node("fc1.relu", "Relu", &[&fc1], &[]);
-    let mut attended = attention(graph, network, inputs, &embedding)?;
-    if relu {
-        attended = graph.node("attention.relu", "Relu", &[&attended], &[]);
+    let mut last = attention(graph, network, inputs, &embedding)?;
+    if attention_relu {
+        last = graph.node("attention.relu", "Relu", &[&last], &[]);
     }
-    Ok((embedding, attended))
-}
-
-/// Adds the layer in front of the head if there is one, on `input` `[1, E]`; its value is `[1, R]`.
-pub fn add_second(
-    graph: &mut Graph,
-    network: &AttentionNetwork<'_>,
-    input: &str,
-) -> Result<String, ExportError> {
-    let AttentionNetwork { width, base, .. } = *network;
-    let Some(fc2) = &network.fc2 else { return Ok(input.to_owned()) };
-    let fc2 = layer(graph, "fc2", input, fc2, [width, base])?;
-    Ok(graph.node("fc2.relu", "Relu", &[&fc2], &[]))
-}
-
-/// Adds the last layer, on `input` `[1, R]`; it gives `output` `[U]`.
-pub fn add_head(
-    graph: &mut Graph,
-    network: &AttentionNetwork<'_>,
-    input: &str,
-    output: &str,
-) -> Result<(), ExportError> {
-    let AttentionNetwork { base, outputs, .. } = *network;
-    let head = layer(graph, "head", input, &network.head, [base, outputs])?;
-    let shape_name = format!("{output}.shape");
-    let shape = graph.integers(&shape_name, &[outputs as i64]);
-    graph.node(output, "Reshape", &[&head, shape], &[]);
-    Ok(())
+    if let Some(fc2) = &network.fc2 {
+        let fc2 = layer(graph, "fc2", &last, fc2, [width, base])?;
+        last = graph.node("fc2.relu", "Relu", &[&fc2], &[]);
+    }
+    Ok((embedding, last))
 }
 
 /// Adds the heads, on the embedding `[N, E]` and the base `[1, R]`; they give `output` `[U]`.
 ///
 /// An action whose target is not visible has the utility 0.
-pub fn add_utilities(
+pub(super) fn add_utilities(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
     inputs: Inputs<'_>,
     [embedding, base]: [&str; 2],
     output: &str,
 ) -> Result<(), ExportError> {
-    let Some(head) = &network.pointing else {
-        return add_head(graph, network, base, output);
+    let all = match &network.pointing {
+        None => layer(graph, "head", base, &network.head, [network.base, network.outputs])?,
+        Some(pointing) => add_pointing(graph, network, pointing, inputs, [embedding, base])?,
     };
+    let shape_name = format!("{output}.shape");
+    let shape = graph.integers(&shape_name, &[network.outputs as i64]);
+    graph.node(output, "Reshape", &[&all, shape], &[]);
+    Ok(())
+}
+
+/// Adds the utilities `[1, U]` of a network that points.
+fn add_pointing(
+    graph: &mut Graph,
+    network: &AttentionNetwork<'_>,
+    head: &PointingHead<'_>,
+    inputs: Inputs<'_>,
+    [embedding, base]: [&str; 2],
+) -> Result<String, ExportError> {
     let PointingHead { first_entity, count, query, pairs } = head;
     let targets: Vec<i64> = (*first_entity..first_entity + count).map(|row| row as i64).collect();
-    let targets = graph.integers("pointing.targets", &targets).to_owned();
-    let nothing = graph.floats("pointing.nothing", &[], &[0.0]).to_owned();
+    let targets = graph.integers("pointing.targets", &targets);
+    let nothing = graph.floats("pointing.nothing", &[], &[0.0]);
     let untargeted = [network.base, network.outputs - count];
     let untargeted = layer(graph, "head", base, &network.head, untargeted)?;
     let query = layer(graph, "pointing.query", base, query, [network.base, network.width])?;
-    let rows = graph.node("pointing.rows", "Gather", &[embedding, &targets], &[axis(0)]);
+    let rows = graph.node("pointing.rows", "Gather", &[embedding, targets], &[axis(0)]);
     let turned = Attribute::Ints("perm", &[1, 0]);
     let rows = graph.node("pointing.columns", "Transpose", &[&rows], &[turned]);
     let mut scores = graph.node("pointing.scores", "MatMul", &[&query, &rows], &[]);
-    if let (Some(own), Some(pairs)) = (inputs.own, pairs) {
+    if let Some(pairs) = pairs {
         let weights =
             layer(graph, "pairs.weights", base, &pairs.weights, [network.base, pairs.features])?;
-        let pairs = add_pairs(graph, [inputs.rows, own], pairs, *count);
+        let pairs = add_pairs(graph, [inputs.rows, inputs.own], pairs, *count);
         let known = graph.node("pairs.scores", "MatMul", &[&weights, &pairs], &[]);
         scores = graph.node("pointing.related", "Add", &[&scores, &known], &[]);
     }
-    let seen = graph.node("pointing.seen", "Gather", &[inputs.visible, &targets], &[axis(0)]);
-    let aimed = graph.node("pointing", "Where", &[&seen, &scores, &nothing], &[]);
-    let all = graph.node("heads", "Concat", &[&untargeted, &aimed], &[axis(1)]);
-    let shape = graph.integers(&format!("{output}.shape"), &[network.outputs as i64]).to_owned();
-    graph.node(output, "Reshape", &[&all, &shape], &[]);
-    Ok(())
+    let seen = graph.node("pointing.seen", "Gather", &[inputs.visible, targets], &[axis(0)]);
+    let aimed = graph.node("pointing", "Where", &[&seen, &scores, nothing], &[]);
+    Ok(graph.node("heads", "Concat", &[&untargeted, &aimed], &[axis(1)]))
 }
 
 /// Adds the features of pairs `[F, targets]`, which stand in the own one of the rows.
@@ -267,7 +252,7 @@ fn add_pairs(
     graph.node("pairs.turned", "Transpose", &[&pairs], &[Attribute::Ints("perm", &[1, 0])])
 }
 
-/// Attention of the own row's query, or of every row's, over all entities.
+/// Attention of the own row's query over all entities.
 fn attention(
     graph: &mut Graph,
     network: &AttentionNetwork<'_>,
@@ -279,11 +264,7 @@ fn attention(
     let weights = inputs_first("attention.in.weight", &network.attention_in, packed)?;
     let [query, key, value] =
         [0, 1, 2].map(|part| columns(&weights, 3 * width, part * width, width));
-    let asking = match inputs.own {
-        Some(own) => graph.node("attention.own", "Gather", &[embedding, own], &[axis(0)]),
-        None => embedding.to_owned(),
-    };
-
+    let asking = graph.node("attention.own", "Gather", &[embedding, inputs.own], &[axis(0)]);
     let split = graph.integers("attention.split", &[0, heads as i64, (width / heads) as i64]);
     let mut heads_of = |name: &str, input: &str, weights: &[f32], order: &[i64]| {
         let weight = format!("{name}.weight");
@@ -314,9 +295,7 @@ fn attention(
     let mixed = graph.node("attention.mixed", "MatMul", &[&shares, &value], &[]);
     let order = Attribute::Ints("perm", &[1, 0, 2]);
     let mixed = graph.node("attention.mixed.ordered", "Transpose", &[&mixed], &[order]);
-    // Zero keeps the number of rows.
-    let rows = i64::from(inputs.own.is_some());
-    let join = graph.integers("attention.join", &[rows, width as i64]);
+    let join = graph.integers("attention.join", &[1, width as i64]);
     let joined = graph.node("attention.joined", "Reshape", &[&mixed, join], &[]);
     let skip = match &network.skip {
         Some(skip) => {

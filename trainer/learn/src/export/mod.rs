@@ -6,23 +6,23 @@
 
 mod agent;
 pub mod attention;
-mod entities;
 pub mod onnx;
 mod own_row;
 #[cfg(test)]
 mod pointing_tests;
 #[cfg(test)]
 mod skip_tests;
+mod team_value;
 
 use sortie_bundle::OptionsContract;
 use sortie_core::Policy;
 
 pub use agent::{AgentNetwork, GruCell, RecurrentAgent, agent_onnx, recurrent_agent_onnx};
 pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix, PairHead, PointingHead};
-pub use entities::{EntityNetwork, Members, TeamValueExport, entity_network_onnx, team_value_onnx};
 pub use own_row::{
     AGENT_NUMBER, DenseLayer, GOAL, LookupTables, OptionGraphs, OwnRowNetwork, OwnRowNetworks,
 };
+pub use team_value::{TeamValueExport, team_value_onnx};
 
 /// Agents, and what their answers are.
 pub struct DeployedAgents<'a> {

@@ -104,8 +104,7 @@ impl Acting {
         mut choose: impl FnMut(usize, usize, ActionSet) -> usize,
     ) {
         let shape = agents.shape;
-        self.batch.aim_at(shape.targets.entities());
-        self.batch.relate(shape.targets.pairs());
+        self.batch.aim_at(shape.targets.entities(), shape.targets.pairs());
         self.batch.finish(false);
         self.recall(shape.memory);
         let Self { batch, tape, memory, .. } = self;
@@ -223,8 +222,7 @@ impl<'a> NetworkPolicy<'a> {
         // Who is not seen has no number here, and is beyond all that have.
         let place = |entity| self.order.iter().position(|it| *it == entity).unwrap_or(UNSEEN);
         let targets = self.agents.shape.targets;
-        self.batch.aim_at(targets.entities().map(place));
-        self.batch.relate(targets.pairs());
+        self.batch.aim_at(targets.entities().map(place), targets.pairs());
         self.batch.finish(false);
         Ok(())
     }

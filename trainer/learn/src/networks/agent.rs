@@ -95,13 +95,7 @@ impl EntityAgent {
         let skip = skip.then(|| parameters.projection("agent.skip", width, width, random));
         let unit = (memory > 0).then(|| {
             let before = parameters.linear("agent.fc2", width, memory, random);
-            let (start, bound) = (parameters.values.len(), 1.0 / (memory as f32).sqrt());
-            for (name, length) in UNIT.into_iter().zip(lengths(memory)) {
-                let shape = [3 * memory, length / (3 * memory)];
-                let shape = if name.ends_with("bias") { &shape[..1] } else { &shape[..] };
-                parameters.tensor(&format!("agent.memory.{name}"), shape, bound, random);
-            }
-            (before, Gru { width: memory, start })
+            (before, parameters.gru_of("agent.memory", UNIT, memory, random))
         });
         let last = if memory > 0 { memory } else { width };
         let head = parameters.linear("agent.head", last, actions - targets.count, random);
@@ -190,11 +184,8 @@ impl EntityAgent {
             let mut rest = &values[start..];
             let [input, recurrent, input_bias, recurrent_bias] =
                 lengths(width).map(|length| rest.split_off(..length).expect("all tensors"));
-            let layer = |values, bias| {
-                let weight = Matrix { values, layout: Layout::OutputsFirst };
-                Layer { weight, bias }
-            };
-            GruCell { input: layer(input, input_bias), recurrent: layer(recurrent, recurrent_bias) }
+            let recurrent = Layer::outputs_first(recurrent, recurrent_bias);
+            GruCell { input: Layer::outputs_first(input, input_bias), recurrent }
         });
         (network, memory)
     }
@@ -206,17 +197,15 @@ impl EntityAgent {
         let width = shape.output - pair_features;
         let weights = values[pointing.weight_range()].split_at(width * shape.input);
         let biases = bias(pointing, values).split_at(width);
-        let layer =
-            |values, bias| Layer { weight: Matrix { values, layout: Layout::OutputsFirst }, bias };
         let pairs = PairHead {
             first: first_pair,
             features: pair_features,
-            weights: layer(weights.1, biases.1),
+            weights: Layer::outputs_first(weights.1, biases.1),
         };
         PointingHead {
             first_entity: first,
             count,
-            query: layer(weights.0, biases.0),
+            query: Layer::outputs_first(weights.0, biases.0),
             pairs: (pair_features > 0).then_some(pairs),
         }
     }

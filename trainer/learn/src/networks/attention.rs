@@ -79,7 +79,7 @@ impl EntityAttention {
         };
         let keys_values = pass.linear(embeddings, self.keys_values);
         let output = if view.imagines {
-            pass.split_attention(queries, keys_values, view.lists, true)
+            pass.split_attention(queries, keys_values, view.lists)
         } else {
             pass.attention(queries, keys_values, view.lists, self.heads)
         };

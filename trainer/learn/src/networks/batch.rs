@@ -147,16 +147,12 @@ impl EntityBatch {
         self.shared = shares.then(|| self.shared.take().unwrap_or_default());
     }
 
-    /// From the next [`finish`](Self::finish) on the last actions aim at these entities, one each.
-    pub fn aim_at(&mut self, targets: impl Iterator<Item = usize>) {
+    /// From the next [`finish`](Self::finish) on the last actions aim at these entities, one each; these columns of an
+    /// agent's own row say how it stands to them, as many for each.
+    pub fn aim_at(&mut self, targets: impl Iterator<Item = usize>, related: Range<usize>) {
         self.targets.clear();
         self.targets.extend(targets);
-    }
-
-    /// From the next [`finish`](Self::finish) on these columns of an agent's own row say how it stands to what it may aim
-    /// at, as many for each.
-    pub fn relate(&mut self, columns: Range<usize>) {
-        self.related = columns;
+        self.related = related;
     }
 
     /// Forgets all states, keeps the memory.

@@ -43,8 +43,7 @@ fn part(agent: usize) -> EntitySet {
 fn batch(shares: bool, is_episode: bool) -> EntityBatch {
     let mut batch = EntityBatch::default();
     batch.share_rows(shares);
-    batch.aim_at(TARGETS.entities());
-    batch.relate(RELATED.pairs());
+    batch.aim_at(TARGETS.entities(), RELATED.pairs());
     for (index, seen) in states(|_| EntitySet::MAX).iter().enumerate() {
         let [step, episode] = if is_episode { [index, 0] } else { [0, index] };
         batch.push_at(Moment { step, episode }, seen, part);
@@ -203,7 +202,7 @@ fn aimed_actions_are_worth_what_their_targets_are() {
     assert_near(&of(&batch(false, true), true)[..AGENTS * 6], &whole);
     // Entities 3 and 4 trade places.
     let mut traded = EntityBatch::default();
-    traded.aim_at([1, 2, 4, 3].into_iter());
+    traded.aim_at([1, 2, 4, 3].into_iter(), 0..0);
     states(|_| EntitySet::MAX).iter().for_each(|seen| traded.push(seen));
     traded.finish(false);
     let traded = of(&traded, false);

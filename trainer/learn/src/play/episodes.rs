@@ -57,7 +57,10 @@ pub trait Onlooker {
     ///
     /// # Errors
     /// What is seen cannot be kept.
-    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError>;
+    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
+        let _ = watched;
+        Ok(())
+    }
 
     /// A step was taken; the instance has not started anew.
     ///
@@ -68,19 +71,14 @@ pub trait Onlooker {
         watched: Watched<'_>,
         actions: &[u16],
         step: &Step,
-    ) -> Result<(), LearnError>;
+    ) -> Result<(), LearnError> {
+        let _ = (watched, actions, step);
+        Ok(())
+    }
 }
 
 /// Nobody watches.
-impl Onlooker for () {
-    fn started(&mut self, _: Watched<'_>) -> Result<(), LearnError> {
-        Ok(())
-    }
-
-    fn stepped(&mut self, _: Watched<'_>, _: &[u16], _: &Step) -> Result<(), LearnError> {
-        Ok(())
-    }
-}
+impl Onlooker for () {}
 
 /// Plays these episodes of a seed, as many at a time as there are instances, while somebody watches.
 ///

@@ -12,6 +12,7 @@ use sortie_envs::{Environment, Random, Spec, Split, Step};
 
 use crate::act::{Scene, Scenes};
 use crate::error::LearnError;
+use crate::evaluate::metric_means;
 use crate::method::{Method, Now, Transition};
 use crate::run::EpisodeCounts;
 use crate::state::State;
@@ -207,15 +208,10 @@ impl Recent {
 
     /// Means of the metrics that evaluations tell, by their names; none before so many episodes ended.
     pub(super) fn means(&self, spec: &Spec) -> BTreeMap<String, f64> {
-        let reported = spec.metrics.iter().enumerate().filter(|(_, metric)| metric.is_reported);
-        let is_full = self.episodes.len() == LAST;
-        let mean = |(place, metric): (usize, &sortie_envs::Metric)| {
-            let values = self.episodes.iter().filter_map(|it| it.get(place).copied().flatten());
-            let (count, sum) =
-                values.fold((0, 0.0), |(count, sum), value| (count + 1, sum + value));
-            (count > 0).then(|| (metric.name.to_owned(), sum / f64::from(count)))
-        };
-        reported.filter(|_| is_full).filter_map(mean).collect()
+        if self.episodes.len() < LAST {
+            return BTreeMap::new();
+        }
+        metric_means(spec, self.episodes.iter().map(Vec::as_slice))
     }
 }
 

@@ -34,11 +34,6 @@ impl<P: Policy> PolicyTeam<P> {
         }
     }
 
-    /// The policy.
-    pub fn into_policy(self) -> P {
-        self.policy
-    }
-
     /// Lays out what an instance shows.
     fn look(&mut self, scenes: &Scenes<'_>, scene: usize) {
         let Self { policy, seen, rows, available, last_actions, memories } = self;
@@ -169,9 +164,10 @@ mod tests {
     #[test]
     fn agents_are_told_what_they_did_in_their_own_episode() {
         let ring = sortie_envs::open("group-matching/4x3x2", Split::Test, 1, &Default::default());
-        let mut team = PolicyTeam::new(Noting::default());
+        let mut noting = Noting::default();
+        let mut team = PolicyTeam::new(&mut noting);
         let played = watch(&mut *ring.unwrap(), &mut team, 0..3, 1, &mut ()).unwrap();
-        let mut told = team.into_policy().0.into_iter();
+        let mut told = noting.0.into_iter();
         for episode in played {
             assert!(episode.steps > 1);
             assert_eq!(told.next(), Some(vec![NO_ACTION; 4]));

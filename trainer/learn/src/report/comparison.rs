@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::group::score;
 use super::{Axis, FinalResult, Group, Point, RunRecord, Spread};
-use crate::evaluate::Score;
+use crate::evaluate::{Score, TeamSuccess};
 
 /// Shares of solved episodes of which it is said when a run first reached them.
 const LEVELS: [f64; 2] = [0.6, 0.8];
@@ -237,67 +237,70 @@ fn has_results(group: &Group) -> bool {
 
 /// Small teams first, then by their letters; labels in the order given.
 fn teams(groups: &[Group]) -> Vec<TeamSummary> {
-    let results = |group: &Group| -> Vec<FinalResult> {
-        group.runs.iter().filter_map(|run| run.result.clone()).collect()
-    };
-    let results: Vec<(&str, Vec<FinalResult>)> = groups
-        .iter()
-        .filter(|group| has_results(group))
-        .map(|group| (group.label.as_str(), results(group)))
-        .collect();
-    let names: BTreeSet<(usize, &str)> = results
-        .iter()
-        .flat_map(|(_, results)| results)
-        .flat_map(|result| result.by_team.keys())
-        .map(|team| (team.chars().count(), team.as_str()))
-        .collect();
-    let summary = |team: &str, label: &str, results: &[FinalResult]| {
-        let played =
-            || results.iter().filter_map(|r| r.by_team.get(team)).filter(|team| team.episodes > 0);
+    let results = results(groups, |_| true);
+    let teams = all_names(&results, |result| result.by_team.keys());
+    let mut teams: Vec<&String> = teams.into_iter().collect();
+    teams.sort_by_key(|team| team.chars().count());
+    in_turn(teams, &results, |team, group, results| {
+        let played = results.iter().filter_map(|result| result.by_team.get(team));
+        let played = played.filter(|team| team.episodes > 0);
+        let share = |team: &TeamSuccess| team.solved as f64 / team.episodes as f64;
         Some(TeamSummary {
-            team: team.to_owned(),
-            label: label.to_owned(),
-            episodes: played().map(|team| team.episodes).sum(),
-            success: Spread::of(played().map(|team| team.solved as f64 / team.episodes as f64))?,
+            team: team.clone(),
+            label: group.label.clone(),
+            episodes: played.clone().map(|team| team.episodes).sum(),
+            success: Spread::of(played.map(share))?,
         })
-    };
-    let summary = &summary;
-    names
-        .into_iter()
-        .flat_map(|(_, team)| {
-            results.iter().filter_map(move |(label, results)| summary(team, label, results))
-        })
-        .collect()
+    })
 }
 
 /// Causes in the order of their names; labels in the order given.
 fn causes(groups: &[Group]) -> Vec<CauseSummary> {
-    let results = |group: &Group| -> Vec<FinalResult> {
-        let told = |result: &FinalResult| !result.failures.is_empty() && result.episodes > 0;
-        group.runs.iter().filter_map(|run| run.result.clone().filter(told)).collect()
-    };
-    let results: Vec<(&Group, Vec<FinalResult>)> = groups
-        .iter()
-        .map(|group| (group, results(group)))
-        .filter(|(group, results)| results.len() == group.runs.len())
-        .collect();
-    let names: BTreeSet<&String> =
-        results.iter().flat_map(|(_, results)| results).flat_map(|r| r.failures.keys()).collect();
-    let summary = |cause: &str, group: &Group, results: &[FinalResult]| {
-        let share = |result: &FinalResult| {
+    let results = results(groups, |result| !result.failures.is_empty() && result.episodes > 0);
+    let causes = all_names(&results, |result| result.failures.keys());
+    in_turn(causes, &results, |cause, group, results| {
+        let share = |result: &&FinalResult| {
             let failed = result.failures.get(cause).copied().unwrap_or(0);
             failed as f64 / result.episodes as f64
         };
         let share = Spread::of(results.iter().map(share))?;
-        Some(CauseSummary { cause: cause.to_owned(), label: group.label.clone(), share })
+        Some(CauseSummary { cause: cause.clone(), label: group.label.clone(), share })
+    })
+}
+
+/// A group, and the final evaluations of all of its runs.
+type Results<'a> = (&'a Group, Vec<&'a FinalResult>);
+
+/// The groups of whose runs all have such a final evaluation.
+fn results(groups: &[Group], told: impl Fn(&FinalResult) -> bool) -> Vec<Results<'_>> {
+    let results = |group| {
+        let Group { runs, .. }: &Group = group;
+        let all: Option<Vec<_>> =
+            runs.iter().map(|run| run.result.as_ref().filter(|result| told(result))).collect();
+        Some((group, all?))
     };
-    let summary = &summary;
-    names
-        .into_iter()
-        .flat_map(|cause| {
-            results.iter().filter_map(move |(group, results)| summary(cause, group, results))
-        })
-        .collect()
+    groups.iter().filter_map(results).collect()
+}
+
+/// The names that any of these evaluations has for something.
+fn all_names<'a, I: Iterator<Item = &'a String>>(
+    results: &[Results<'a>],
+    names: impl Fn(&'a FinalResult) -> I,
+) -> BTreeSet<&'a String> {
+    results.iter().flat_map(|(_, results)| results).flat_map(|result| names(result)).collect()
+}
+
+/// What there is to say of every name and, in turn, of every group.
+fn in_turn<'a, S>(
+    names: impl IntoIterator<Item = &'a String>,
+    results: &[Results<'_>],
+    summary: impl Fn(&String, &Group, &[&FinalResult]) -> Option<S>,
+) -> Vec<S> {
+    let mut all = Vec::new();
+    for name in names {
+        all.extend(results.iter().filter_map(|(group, results)| summary(name, group, results)));
+    }
+    all
 }
 
 fn notes(groups: &[Group]) -> Vec<String> {

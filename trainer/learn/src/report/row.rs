@@ -5,8 +5,8 @@
 
 use std::fmt;
 
-use serde::de::{Deserialize, Deserializer, Error, MapAccess, SeqAccess, Visitor};
-use serde::{Serialize, Serializer, ser};
+use serde::de::{MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, ser};
 use serde_json::Value;
 
 /// A record, its nested parts flattened into cells, in the order of its fields.
@@ -25,9 +25,9 @@ impl Row {
     /// Flattens a JSON object.
     pub fn from_json(text: &str) -> serde_json::Result<Self> {
         match serde_json::from_str(text)? {
-            Node::Fields(fields) => {
+            node @ Node::Fields(_) => {
                 let mut cells = Vec::new();
-                flatten("", Node::Fields(fields), &mut cells);
+                flatten("", node, &mut cells);
                 Ok(Self(cells))
             }
             _ => Err(ser::Error::custom("not an object of named fields")),
@@ -62,10 +62,29 @@ impl Serialize for Row {
 }
 
 /// A JSON value that keeps the order of its fields, as [`Value`] does not.
+#[derive(Deserialize)]
+#[serde(untagged)]
 enum Node {
-    Scalar(Value),
+    Fields(#[serde(deserialize_with = "in_order")] Vec<(String, Node)>),
     List(Vec<Node>),
-    Fields(Vec<(String, Node)>),
+    Scalar(Value),
+}
+
+fn in_order<'de, D: Deserializer<'de>>(of: D) -> Result<Vec<(String, Node)>, D::Error> {
+    struct InOrder;
+
+    impl<'de> Visitor<'de> for InOrder {
+        type Value = Vec<(String, Node)>;
+
+        fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+            formatter.write_str("named fields")
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Self::Value, A::Error> {
+            std::iter::from_fn(|| entries.next_entry().transpose()).collect()
+        }
+    }
+    of.deserialize_map(InOrder)
 }
 
 fn flatten(name: &str, node: Node, cells: &mut Vec<(String, Value)>) {
@@ -90,62 +109,6 @@ fn flatten(name: &str, node: Node, cells: &mut Vec<(String, Value)>) {
                 flatten(&element, node, cells);
             }
         }
-    }
-}
-
-impl<'de> Deserialize<'de> for Node {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(NodeVisitor)
-    }
-}
-
-struct NodeVisitor;
-
-impl<'de> Visitor<'de> for NodeVisitor {
-    type Value = Node;
-
-    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str("a JSON value")
-    }
-
-    fn visit_unit<E: Error>(self) -> Result<Node, E> {
-        Ok(Node::Scalar(Value::Null))
-    }
-
-    fn visit_bool<E: Error>(self, value: bool) -> Result<Node, E> {
-        Ok(Node::Scalar(value.into()))
-    }
-
-    fn visit_i64<E: Error>(self, value: i64) -> Result<Node, E> {
-        Ok(Node::Scalar(value.into()))
-    }
-
-    fn visit_u64<E: Error>(self, value: u64) -> Result<Node, E> {
-        Ok(Node::Scalar(value.into()))
-    }
-
-    fn visit_f64<E: Error>(self, value: f64) -> Result<Node, E> {
-        Ok(Node::Scalar(value.into()))
-    }
-
-    fn visit_str<E: Error>(self, value: &str) -> Result<Node, E> {
-        Ok(Node::Scalar(value.into()))
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<Node, A::Error> {
-        let mut list = Vec::new();
-        while let Some(element) = elements.next_element()? {
-            list.push(element);
-        }
-        Ok(Node::List(list))
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Node, A::Error> {
-        let mut fields = Vec::new();
-        while let Some(entry) = entries.next_entry()? {
-            fields.push(entry);
-        }
-        Ok(Node::Fields(fields))
     }
 }
 

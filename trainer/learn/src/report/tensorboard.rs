@@ -81,7 +81,7 @@ impl RunEvents {
             Some(file) => file,
             none => none.insert(EventFile::begin(&self.folder, now_s(), self.first)?),
         };
-        file.scalars(now_s(), step, values.iter().map(|(tag, value)| (tag.as_str(), *value)))
+        file.scalars(now_s(), step, &values)
     }
 }
 
@@ -100,6 +100,8 @@ const PREFIX: &str = "events.out.tfevents.";
 const SUFFIX: &str = ".sortie";
 /// The version from which on TensorBoard minds the start of a session.
 const FILE_VERSION: &str = "brain.Event:2";
+/// A session starts.
+const START: i64 = 1;
 
 /// An event file under construction; each event is in the file when its call returns.
 #[derive(Debug)]
@@ -127,8 +129,9 @@ impl EventFile {
             }
         };
         let mut begun = Self { path, file, length: 0 };
-        let written = begun.write(&version(now_s));
-        match written.and_then(|()| begun.write(&session_start(now_s, first_step))) {
+        let written = begun.write(event(now_s, 0).text(3, FILE_VERSION));
+        let start = Message::default().integer(1, START);
+        match written.and_then(|()| begun.write(event(now_s, first_step).message(7, &start))) {
             Ok(()) => Ok(begun),
             Err(error) => {
                 // The first error matters.
@@ -139,13 +142,16 @@ impl EventFile {
     }
 
     /// Adds the values of named quantities at a step.
-    pub fn scalars<'a>(
+    pub fn scalars(
         &mut self,
         now_s: f64,
         step: u64,
-        values: impl IntoIterator<Item = (&'a str, f64)>,
+        values: &[(String, f64)],
     ) -> Result<(), LearnError> {
-        self.write(&summary(now_s, step, values))
+        let value =
+            |(tag, value): &(String, f64)| Message::default().text(1, tag).float(2, *value as f32);
+        let values: Vec<Message> = values.iter().map(value).collect();
+        self.write(event(now_s, step).message(5, &Message::default().messages(1, &values)))
     }
 
     /// The file.
@@ -153,9 +159,9 @@ impl EventFile {
         &self.path
     }
 
-    fn write(&mut self, event: &[u8]) -> Result<(), LearnError> {
+    fn write(&mut self, event: Message) -> Result<(), LearnError> {
         // One call, so that a reader beside rarely sees half a record.
-        let record = record(event);
+        let record = record(&event.into_bytes());
         let written = self.file.write_all(&record);
         if written.is_ok() {
             self.length += record.len() as u64;
@@ -176,21 +182,6 @@ fn newest(folder: &Path) -> Result<Option<u64>, LearnError> {
 
 fn event(now_s: f64, step: u64) -> Message {
     Message::default().double(1, now_s).integer(2, step as i64)
-}
-
-fn version(now_s: f64) -> Vec<u8> {
-    event(now_s, 0).text(3, FILE_VERSION).into_bytes()
-}
-
-fn session_start(now_s: f64, first_step: u64) -> Vec<u8> {
-    const START: i64 = 1;
-    event(now_s, first_step).message(7, &Message::default().integer(1, START)).into_bytes()
-}
-
-fn summary<'a>(now_s: f64, step: u64, values: impl IntoIterator<Item = (&'a str, f64)>) -> Vec<u8> {
-    let value = |(tag, value)| Message::default().text(1, tag).float(2, value as f32);
-    let values: Vec<Message> = values.into_iter().map(value).collect();
-    event(now_s, step).message(5, &Message::default().messages(1, &values)).into_bytes()
 }
 
 /// A TFRecord: length, its checksum, content, its checksum.
@@ -354,8 +345,9 @@ mod tests {
     fn what_is_written_reads_back() {
         let folder = tempfile::tempdir().unwrap();
         let mut file = EventFile::begin(folder.path(), 1000.5, 1).unwrap();
-        file.scalars(1001.5, 50_000, [("evaluation/success", 0.25), ("learning/loss", 3.0)])
-            .unwrap();
+        let values = [("evaluation/success", 0.25), ("learning/loss", 3.0)];
+        let values = values.map(|(tag, value)| (tag.to_owned(), value));
+        file.scalars(1001.5, 50_000, &values).unwrap();
         let bytes = fs::read(file.path()).unwrap();
         let events: Vec<_> = records(&bytes).into_iter().map(fields).collect();
         assert_eq!(events.len(), 3);

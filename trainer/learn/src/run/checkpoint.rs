@@ -11,12 +11,11 @@
 //! | `state.postcard` | counters, generators, running episodes, the curve, the replays |
 
 use std::collections::BTreeMap;
-use std::error::Error;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crc::{CRC_64_XZ, Crc, Table};
-use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorInfo};
+use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sortie_bundle::files::{
@@ -197,11 +196,17 @@ fn write_files(folder: &Path, env_steps: u64, written: &Written) -> Result<(), L
         written.map_err(LearnError::file(path))
     };
     std::fs::create_dir(folder).map_err(LearnError::file(folder))?;
-    let tensors = Contents::of_tensors(&written.tensors).map_err(|error| bad(&error))?;
-    let values = Contents::of_values(&written.values).map_err(|error| bad(&error))?;
+    let tensors = written
+        .tensors
+        .iter()
+        .map(|(name, sizes, bytes)| Ok((name, TensorView::new(Dtype::F32, sizes.clone(), bytes)?)));
+    let tensors: Result<Vec<_>, SafeTensorError> = tensors.collect();
+    let tensors = tensors.and_then(|tensors| safetensors::serialize(tensors, None));
+    let tensors = tensors.map_err(|error| bad(&error))?;
+    let values = in_parts(&written.values).map_err(|error| bad(&error))?;
+    let values = values.iter().flat_map(|(before, value)| [before.as_slice(), value]);
     let mut files = BTreeMap::new();
-    for (name, contents) in [(TENSORS, tensors), (STATE, values)] {
-        let parts: Vec<&[u8]> = contents.parts().collect();
+    for (name, parts) in [(TENSORS, vec![&*tensors]), (STATE, values.collect())] {
         write(name, &parts)?;
         files.insert(name.to_owned(), FileSum::of(parts));
     }
@@ -260,30 +265,15 @@ impl Checkpoint {
     /// # Errors
     /// It has not all of them, or of other sizes.
     pub fn vector(&self, name: &str, tensors: &[Tensor]) -> Result<Vec<f32>, LearnError> {
-        let file = SafeTensors::deserialize(&self.tensors).map_err(|error| self.bad(error))?;
-        let mut parameters = Vec::new();
-        for tensor in tensors {
-            let name = format!("{name}/{}", tensor.name);
-            self.read_tensor(&file, &name, tensor.range.len(), &mut parameters)?;
-        }
-        Ok(parameters)
+        let parts = tensors.iter().map(|tensor| {
+            self.whole_vector(&format!("{name}/{}", tensor.name), tensor.range.len())
+        });
+        Ok(parts.collect::<Result<Vec<_>, _>>()?.concat())
     }
 
     /// A vector of so many numbers that was saved whole, by network and vector as in `mixer/online`.
     pub fn whole_vector(&self, name: &str, count: usize) -> Result<Vec<f32>, LearnError> {
         let file = SafeTensors::deserialize(&self.tensors).map_err(|error| self.bad(error))?;
-        let mut numbers = Vec::with_capacity(count);
-        self.read_tensor(&file, name, count, &mut numbers)?;
-        Ok(numbers)
-    }
-
-    fn read_tensor(
-        &self,
-        file: &SafeTensors<'_>,
-        name: &str,
-        count: usize,
-        to: &mut Vec<f32>,
-    ) -> Result<(), LearnError> {
         let view = file.tensor(name).map_err(|error| self.bad(format!("{name}: {error}")))?;
         let (numbers, rest) = view.data().as_chunks::<4>();
         if view.dtype() != Dtype::F32 || numbers.len() != count || !rest.is_empty() {
@@ -293,8 +283,7 @@ impl Checkpoint {
         if let Some(place) = numbers.clone().position(|number| !number.is_finite()) {
             return Err(self.bad(format!("{name}: number {place} is not finite")));
         }
-        to.extend(numbers);
-        Ok(())
+        Ok(numbers.collect())
     }
 
     /// Everything that is not a parameter vector.
@@ -346,44 +335,16 @@ fn remove(folder: &Path) -> Result<(), LearnError> {
 /// Name, sizes and numbers of a tensor, as the file has them.
 pub(crate) type SavedTensor = (String, Vec<usize>, Vec<u8>);
 
-/// What is written one behind the other, each with what stands before it.
-#[derive(Debug)]
-pub(super) struct Contents<'a>(Vec<(Vec<u8>, &'a [u8])>);
-
-impl<'a> Contents<'a> {
-    /// Tensors as a file of `safetensors` has them: a header, and their bytes in the order of their names.
-    pub(super) fn of_tensors(tensors: &'a [SavedTensor]) -> Result<Self, Box<dyn Error>> {
-        let mut sorted: Vec<&SavedTensor> = tensors.iter().collect();
-        sorted.sort_by_key(|(name, ..)| name);
-        let mut end = 0;
-        let infos = sorted.iter().map(|(name, sizes, bytes)| {
-            let data_offsets = (end, end + bytes.len());
-            end = data_offsets.1;
-            (name.clone(), TensorInfo { dtype: Dtype::F32, shape: sizes.clone(), data_offsets })
-        });
-        let mut text = serde_json::to_vec(&Metadata::new(None, infos.collect())?)?;
-        text.resize(text.len().next_multiple_of(8), b' ');
-        let length = (text.len() as u64).to_le_bytes();
-        let mut parts = vec![(length.to_vec(), &[][..]), (text, &[])];
-        parts.extend(sorted.into_iter().map(|(.., bytes)| (Vec::new(), bytes.as_slice())));
-        Ok(Self(parts))
+/// Values as postcard writes a map, without a copy of them: each with what stands before it, which is how many there are,
+/// then its name and how long it is.
+fn in_parts(values: &BTreeMap<String, Vec<u8>>) -> postcard::Result<Vec<(Vec<u8>, &[u8])>> {
+    let mut parts = vec![(postcard::to_stdvec(&values.len())?, &[][..])];
+    for (name, value) in values {
+        let mut before = postcard::to_stdvec(name)?;
+        before.extend(postcard::to_stdvec(&value.len())?);
+        parts.push((before, value));
     }
-
-    /// Values as postcard writes a map: how many there are, and behind each name how long its value is.
-    pub(super) fn of_values(values: &'a BTreeMap<String, Vec<u8>>) -> postcard::Result<Self> {
-        let mut parts = vec![(postcard::to_stdvec(&values.len())?, &[][..])];
-        for (name, value) in values {
-            let mut before = postcard::to_stdvec(name)?;
-            before.extend(postcard::to_stdvec(&value.len())?);
-            parts.push((before, value));
-        }
-        Ok(Self(parts))
-    }
-
-    /// All of it in its order.
-    pub(super) fn parts(&self) -> impl Iterator<Item = &[u8]> + Clone {
-        self.0.iter().flat_map(|(before, part)| [before.as_slice(), part])
-    }
+    Ok(parts)
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use plotters::prelude::*;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::evaluate::{Evaluation, Score};
+use crate::report::chart::{Canvas, Drawn, svg};
 
 /// What one evaluation during training found, and what training did since the one before.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -122,21 +123,16 @@ pub(super) fn learning_curve(
     score: Score,
     curve: &[CurvePoint],
 ) -> Result<String, impl Display> {
-    let mut svg = String::new();
-    draw(&mut svg, title, score, curve).map(|()| svg).map_err(|error| error.to_string())
+    svg(SIZE, |area| draw(area, title, score, curve))
 }
 
-type DrawResult = Result<(), DrawingAreaErrorKind<std::io::Error>>;
-
-fn draw(svg: &mut String, title: &str, score: Score, curve: &[CurvePoint]) -> DrawResult {
-    let area = SVGBackend::with_string(svg, SIZE).into_drawing_area();
-    area.fill(&WHITE)?;
+fn draw(area: &Canvas<'_>, title: &str, score: Score, curve: &[CurvePoint]) -> Drawn {
     let thousands = |steps: u64| steps as f64 / 1000.0;
     let last = curve.last().map_or(1.0, |point| thousands(point.env_steps).max(1.0));
     let value = |point: &CurvePoint| score.pick(point.success, point.return_mean);
     let [low, high] = score.range(curve.iter().map(value));
     let places = usize::from(high - low < 10.0);
-    let mut chart = ChartBuilder::on(&area)
+    let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 18))
         .margin(14)
         .x_label_area_size(42)
@@ -160,7 +156,7 @@ fn draw(svg: &mut String, title: &str, score: Score, curve: &[CurvePoint]) -> Dr
     }
     let line = curve.iter().map(|point| at(point, value(point)));
     chart.draw_series(LineSeries::new(line, LINE.stroke_width(2)))?;
-    area.present()
+    Ok(())
 }
 
 #[cfg(test)]

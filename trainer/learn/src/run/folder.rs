@@ -12,6 +12,8 @@ use crate::evaluate::Score;
 use crate::report::{RunEvents, to_csv};
 
 const LOCK: &str = "lock";
+const DESCRIPTION: &str = "train.toml";
+const CURVE: &str = "curve.json";
 const RESULT: &str = "result.json";
 
 /// The files of a run.
@@ -55,7 +57,7 @@ impl RunFolder {
             return Err(LearnError::taken(folder, reason));
         }
         self.lock()?;
-        replace(&self.description_path(), description.to_toml()?.as_bytes())
+        self.write(DESCRIPTION, Ok::<_, String>(description.to_toml()?))
     }
 
     fn lock(&mut self) -> Result<(), LearnError> {
@@ -87,7 +89,7 @@ impl RunFolder {
             }
             _ => {}
         }
-        replace(&self.description_path(), description.to_toml()?.as_bytes())
+        self.write(DESCRIPTION, Ok::<_, String>(description.to_toml()?))
     }
 
     /// How the run learns.
@@ -119,30 +121,27 @@ impl RunFolder {
         score: Score,
         curve: &[CurvePoint],
     ) -> Result<(), LearnError> {
-        let path = self.curve_path();
-        let text = curve::to_lines(curve).map_err(|error| LearnError::format(&path, error))?;
-        replace(&path, text.as_bytes())?;
-        let path = self.folder.join("curve.csv");
-        let text = to_csv(curve).map_err(|error| LearnError::format(&path, error))?;
-        replace(&path, text.as_bytes())?;
+        self.write(CURVE, curve::to_lines(curve))?;
+        self.write("curve.csv", to_csv(curve))?;
         self.events.add(curve)?;
-        let path = self.folder.join("curve.svg");
-        let svg = curve::learning_curve(title, score, curve);
-        let svg = svg.map_err(|error| LearnError::format(&path, error))?;
-        replace(&path, svg.as_bytes())
+        self.write("curve.svg", curve::learning_curve(title, score, curve))
     }
 
     /// Writes `result.json`.
     pub fn write_result(&self, result: &RunResult) -> Result<(), LearnError> {
-        let path = self.folder.join(RESULT);
-        let text = serde_json::to_string_pretty(result);
+        self.write(RESULT, serde_json::to_string_pretty(result))
+    }
+
+    /// Replaces a file by a text, if that could be made.
+    fn write(&self, name: &str, text: Result<String, impl ToString>) -> Result<(), LearnError> {
+        let path = self.folder.join(name);
         let text = text.map_err(|error| LearnError::format(&path, error))?;
-        replace(&path, text.as_bytes())
+        replace_file(&path, text.as_bytes(), Durability::Forced).map_err(LearnError::file(path))
     }
 
     /// Its evaluations up to now.
     pub fn read_curve(&self) -> Result<Vec<CurvePoint>, LearnError> {
-        let path = self.curve_path();
+        let path = self.folder.join(CURVE);
         if !path.exists() {
             return Ok(Vec::new());
         }
@@ -151,16 +150,8 @@ impl RunFolder {
     }
 
     fn description_path(&self) -> PathBuf {
-        self.folder.join("train.toml")
+        self.folder.join(DESCRIPTION)
     }
-
-    fn curve_path(&self) -> PathBuf {
-        self.folder.join("curve.json")
-    }
-}
-
-fn replace(path: &Path, content: &[u8]) -> Result<(), LearnError> {
-    replace_file(path, content, Durability::Forced).map_err(LearnError::file(path))
 }
 
 /// Something in a folder that no run left there before it began.

@@ -25,6 +25,7 @@ use sortie_nn::layers::products::Products;
 
 use crate::error::LearnError;
 
+pub use crate::configuration::RunConfig;
 pub use checkpoint::{Checkpoint, Checkpoints};
 pub(crate) use counters::{Clock, Counters};
 pub use counters::{EpisodeCounts, Level, Rates, Reports, UpdateReport};
@@ -32,7 +33,7 @@ pub use curve::{CurvePoint, RunResult};
 pub use folder::RunFolder;
 pub(crate) use progress::Meter;
 pub use progress::{Observer, Outcome, Progress, TrainingPoint};
-pub use setup::{Difference, EnvironmentChoice, RunConfig, RunDescription, Setup, keys_in};
+pub use setup::{Difference, EnvironmentChoice, RunDescription, Setup, keys_in};
 pub(crate) use setup::{rename_older, renamed};
 
 /// The evaluations of the run in a folder.

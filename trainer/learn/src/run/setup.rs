@@ -9,7 +9,7 @@ use sortie_envs::{Environment, Failing};
 use sortie_nn::layers::products::Products;
 use toml::{Table, Value};
 
-use crate::configuration::{self, RUN as RUN_SECTION, WHERE};
+use crate::configuration::{self, RUN as RUN_SECTION, RUN_KEYS, RunConfig, WHERE, WIDEST};
 use crate::error::LearnError;
 
 /// Where a run learns.
@@ -180,47 +180,6 @@ pub(crate) fn renamed(assignment: &str) -> String {
     }
 }
 
-/// How long to learn, and when to measure and save.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RunConfig {
-    /// Folder of a run whose averaged weights this one begins with; empty for a run from scratch.
-    pub from: String,
-    /// Instructions of matrix products: `widest`, or the name of one of
-    /// [`Products`](sortie_nn::layers::products::Products).
-    pub products: String,
-    /// Environment steps to learn for.
-    pub steps: u64,
-    /// Processor seconds after which a run ends that has not taken all steps; 0: it takes them all.
-    pub cpu_seconds: f64,
-    /// Environment steps from one evaluation to the next.
-    pub evaluate_every: u64,
-    /// Greedy episodes of an evaluation.
-    pub evaluate_episodes: usize,
-    /// Greedy episodes of the evaluation at the end of the run, fresh ones that were never used before.
-    pub final_episodes: usize,
-    /// Minutes from one checkpoint to the next; one is always written at the end.
-    pub checkpoint_minutes: f64,
-}
-
-impl Default for RunConfig {
-    fn default() -> Self {
-        Self {
-            from: String::new(),
-            products: "widest".to_owned(),
-            steps: 600_000,
-            cpu_seconds: 0.0,
-            evaluate_every: 50_000,
-            evaluate_episodes: 500,
-            final_episodes: 2_000,
-            checkpoint_minutes: 5.0,
-        }
-    }
-}
-
-/// What `run.products` says where the processor decides.
-const WIDEST: &str = "widest";
-
 impl RunConfig {
     /// Writes in the place of `widest` what that is on this processor, and refuses what it does not have.
     pub fn settle_products(&mut self) -> Result<(), LearnError> {
@@ -273,21 +232,20 @@ impl RunDescription {
 
     /// Reads the file's text.
     pub fn from_toml(text: &str) -> Result<Self, LearnError> {
-        let bad = |what: &str| LearnError::Config(what.to_owned());
+        #[derive(Deserialize)]
+        struct About {
+            method: String,
+            version: String,
+            seed: u64,
+            threads: usize,
+        }
         let mut table = configuration::parsed(text)?;
-        let mut take = |name: &str| table.remove(name).ok_or_else(|| bad(&format!("no `{name}`")));
-        let (method, version) = (take("method")?, take("version")?);
-        let (seed, threads) = (take("seed")?, take("threads")?);
+        let about = RUN_KEYS.iter().filter_map(|key| table.remove_entry(*key));
+        let bad = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
+        let About { method, version, seed, threads } =
+            about.collect::<Table>().try_into().map_err(bad)?;
         settle_older(&mut table);
-        let text = |value: toml::Value| value.as_str().map(str::to_owned);
-        let number = |value: toml::Value| value.as_integer().and_then(|n| u64::try_from(n).ok());
-        let method = text(method).ok_or_else(|| bad("`method` is not text"))?;
-        Ok(Self {
-            version: text(version).ok_or_else(|| bad("`version` is not text"))?,
-            seed: number(seed).ok_or_else(|| bad("`seed` is not a number"))?,
-            threads: number(threads).ok_or_else(|| bad("`threads` is not a number"))? as usize,
-            config: Setup::from_table(&method, table)?,
-        })
+        Ok(Self { version, seed, threads, config: Setup::from_table(&method, table)? })
     }
 }
 

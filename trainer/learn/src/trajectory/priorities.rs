@@ -16,9 +16,12 @@
 //! assert!(weights.into_iter().all(|weight| 0.0 < weight && weight <= 1.0));
 //! ```
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sortie_envs::Random;
 use sortie_envs::random::unit;
+
+use super::{Capacity, Place, Trajectories};
 
 /// Added to an error, so that what is well known is still drawn.
 const LEAST: f64 = 0.001;
@@ -78,6 +81,37 @@ impl Priorities {
             left -= if is_first { 0.0 } else { first };
         }
         (self.nodes[node] > 0.0).then_some((node - leaves, self.nodes[node]))
+    }
+}
+
+impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
+    /// The number of a state for [`Priorities`], among [`slots`](Self::slots): that of the state before it that it pushed out.
+    ///
+    /// # Panics
+    /// The capacity is in episodes.
+    pub fn slot(&self, place: Place) -> usize {
+        let kept = self.kept();
+        place.instance() * kept + (place.number % kept as u64) as usize
+    }
+
+    /// The latest state of a slot that was filled.
+    pub fn at(&self, slot: usize) -> Place {
+        let (instance, kept) = (slot / self.kept(), self.kept() as u64);
+        let last = self.streams[instance].next - 1;
+        let ahead = (last % kept + kept - slot as u64 % kept) % kept;
+        Place { instance: instance as u32, number: last - ahead }
+    }
+
+    /// How many slots there are.
+    pub fn slots(&self) -> usize {
+        self.streams.len() * self.kept()
+    }
+
+    fn kept(&self) -> usize {
+        match self.capacity {
+            Capacity::States(kept) => kept,
+            Capacity::Episodes(_) => panic!("slots are of states"),
+        }
     }
 }
 

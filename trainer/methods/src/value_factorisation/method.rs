@@ -165,8 +165,7 @@ impl Gathering<'_> {
         }
         let targets = self.config.targets(self.environment.spec());
         for batch in [&mut lesson.before, &mut lesson.after] {
-            batch.aim_at(targets.entities());
-            batch.relate(targets.pairs());
+            batch.aim_at(targets.entities(), targets.pairs());
         }
         lesson.before.finish(self.config.imagination.partitions.imagines());
         lesson.after.finish(false);

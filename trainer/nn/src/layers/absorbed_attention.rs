@@ -5,12 +5,10 @@
 //! Per query that takes `2 E^2` multiplications, and `2 H E` per visible entity, where keys and values
 //! take `2 E^2` per entity: a gain where entities are seen by few queries each.
 
-use super::attention::{
-    AttentionShape, AttentionWork, VisibleLists, run_sized, softmax_columns,
-    softmax_columns_backward,
-};
+use super::attention::{AttentionShape, Columns, List, run_with_shape, softmax_columns_backward};
+use super::lists::VisibleLists;
 use super::matrix::{Matrix, MatrixMut, Store, multiply};
-use super::vectors::{add_scaled, dots_with, weighted_sum};
+use super::vectors::add_scaled;
 
 /// The key and value matrices `[2 E, E]`, keys first.
 #[derive(Clone, Copy, Debug)]
@@ -90,8 +88,7 @@ impl AbsorbedAttention {
                 matrices.matrix(h, false),
             );
         }
-        let Self { absorbed, weights, sums, .. } = self;
-        run_sized::<32, 64, 64>(Attend { shape, visible, entities, absorbed, weights, sums });
+        self.attend(shape, visible, entities);
         for h in 0..heads {
             multiply(
                 MatrixMut::new(output, count, width).columns(h * head..(h + 1) * head),
@@ -139,18 +136,7 @@ impl AbsorbedAttention {
             );
         }
         self.d_absorbed.resize(self.d_sums.len(), 0.0);
-        let attended = AttendBackward {
-            shape,
-            visible,
-            entities: pass.entities,
-            absorbed: &self.absorbed,
-            weights: &self.weights,
-            d_sums: &self.d_sums,
-            d_scores: &mut self.d_scores,
-            d_absorbed: &mut self.d_absorbed,
-            d_entities: pass.d_entities,
-        };
-        run_sized::<32, 64, 64>(attended);
+        self.descend(shape, visible, pass.entities, pass.d_entities);
         let queries = Matrix::new(pass.queries, count, width);
         for h in 0..heads {
             let (narrow, broad) = (h * head..(h + 1) * head, h * width..(h + 1) * width);
@@ -169,104 +155,67 @@ impl AbsorbedAttention {
             );
         }
     }
-}
 
-/// Writes weights and weighted sums.
-struct Attend<'a> {
-    shape: AttentionShape,
-    visible: &'a VisibleLists,
-    entities: &'a [f32],
-    absorbed: &'a [f32],
-    weights: &'a mut [f32],
-    sums: &'a mut [f32],
-}
-
-impl AttentionWork for Attend<'_> {
-    fn shape(&self) -> AttentionShape {
-        self.shape
-    }
-
-    #[inline(always)]
-    fn pass<const LANES: usize>(self, shape: AttentionShape) {
-        let AttentionShape { width, heads } = shape;
-        let (wide, scale) = (heads * width, shape.scale());
-        let entity = |row: &u32| &self.entities[*row as usize * width..][..width];
-        let absorbed = self.absorbed.chunks_exact(wide);
-        for (index, (absorbed, sums)) in absorbed.zip(self.sums.chunks_exact_mut(wide)).enumerate()
-        {
-            let (start, list) = self.visible.span(index);
-            let weights = &mut self.weights[start * heads..][..list.len() * heads];
-            for (row, scores) in list.iter().zip(weights.chunks_exact_mut(heads)) {
-                dots_with(absorbed, entity(row), scores);
-                scores.iter_mut().for_each(|score| *score *= scale);
-            }
-            softmax_columns(weights, heads);
-            for (h, sum) in sums.chunks_exact_mut(width).enumerate() {
-                let rows = list.iter().zip(weights.chunks_exact(heads));
-                weighted_sum::<LANES>(
-                    None,
-                    rows.map(|(row, weights)| (weights[h], entity(row))),
-                    sum,
-                );
-            }
-        }
-    }
-}
-
-/// Writes the gradients of the absorbed queries and of the entities.
-struct AttendBackward<'a> {
-    shape: AttentionShape,
-    visible: &'a VisibleLists,
-    entities: &'a [f32],
-    absorbed: &'a [f32],
-    weights: &'a [f32],
-    d_sums: &'a [f32],
-    d_scores: &'a mut Vec<f32>,
-    d_absorbed: &'a mut [f32],
-    d_entities: &'a mut [f32],
-}
-
-impl AttentionWork for AttendBackward<'_> {
-    fn shape(&self) -> AttentionShape {
-        self.shape
-    }
-
-    #[inline(always)]
-    fn pass<const LANES: usize>(self, shape: AttentionShape) {
-        let AttentionShape { width, heads } = shape;
-        let (wide, scale) = (heads * width, shape.scale());
-        let entity = |row: &u32| &self.entities[*row as usize * width..][..width];
-        self.d_entities.fill(0.0);
-        for index in 0..self.visible.queries() {
-            let (start, list) = self.visible.span(index);
-            let weights = &self.weights[start * heads..][..list.len() * heads];
-            let d_sums = &self.d_sums[index * wide..][..wide];
-            let absorbed = &self.absorbed[index * wide..][..wide];
-            let d_absorbed = &mut self.d_absorbed[index * wide..][..wide];
-
-            self.d_scores.resize(list.len() * heads, 0.0);
-            let d_scores = &mut self.d_scores[..];
-            for (row, d_scores) in list.iter().zip(d_scores.chunks_exact_mut(heads)) {
-                dots_with(d_sums, entity(row), d_scores);
-            }
-            softmax_columns_backward(weights, d_scores, heads);
-            d_scores.iter_mut().for_each(|d_score| *d_score *= scale);
-
-            for (h, d_absorbed) in d_absorbed.chunks_exact_mut(width).enumerate() {
-                let rows = list.iter().zip(d_scores.chunks_exact(heads));
-                let terms = rows.map(|(row, d_scores)| (d_scores[h], entity(row)));
-                weighted_sum::<LANES>(None, terms, d_absorbed);
-            }
-            let pairs = weights.chunks_exact(heads).zip(d_scores.chunks_exact(heads));
-            for (row, (weights, d_scores)) in list.iter().zip(pairs) {
-                let d_entity = &mut self.d_entities[*row as usize * width..][..width];
-                for h in 0..heads {
-                    let broad = h * width..(h + 1) * width;
-                    add_scaled(d_entity, weights[h], &d_sums[broad.clone()]);
-                    add_scaled(d_entity, d_scores[h], &absorbed[broad]);
+    /// Writes weights and weighted sums.
+    fn attend(&mut self, shape: AttentionShape, visible: &VisibleLists, entities: &[f32]) {
+        let Self { absorbed, weights, sums, .. } = self;
+        run_with_shape(
+            shape,
+            #[inline(always)]
+            |shape| {
+                let AttentionShape { width, heads } = shape;
+                let queries = absorbed.chunks_exact(heads * width);
+                for (index, (query, sums)) in
+                    queries.zip(sums.chunks_exact_mut(heads * width)).enumerate()
+                {
+                    let (start, rows) = visible.span(index);
+                    let weights = &mut weights[start * heads..][..rows.len() * heads];
+                    let list = List { rows, columns: Columns::all(width), heads };
+                    list.weigh(entities, query, shape.scale(), weights);
+                    list.sum(entities, weights, sums);
                 }
-            }
-        }
+            },
+        );
+    }
+
+    /// Writes the gradients of the absorbed queries and of the entities.
+    fn descend(
+        &mut self,
+        shape: AttentionShape,
+        visible: &VisibleLists,
+        entities: &[f32],
+        d_entities: &mut [f32],
+    ) {
+        let Self { absorbed, weights, d_sums, d_scores, d_absorbed, .. } = self;
+        d_entities.fill(0.0);
+        run_with_shape(
+            shape,
+            #[inline(always)]
+            |shape| {
+                let AttentionShape { width, heads } = shape;
+                for index in 0..visible.queries() {
+                    let (start, rows) = visible.span(index);
+                    let own = index * heads * width..(index + 1) * heads * width;
+                    let weights = &weights[start * heads..][..rows.len() * heads];
+                    let (d_sums, absorbed) = (&d_sums[own.clone()], &absorbed[own.clone()]);
+                    let list = List { rows, columns: Columns::all(width), heads };
+                    d_scores.resize(rows.len() * heads, 0.0);
+                    list.products(entities, d_sums, d_scores);
+                    softmax_columns_backward(weights, d_scores, heads);
+                    d_scores.iter_mut().for_each(|d_score| *d_score *= shape.scale());
+                    list.sum(entities, d_scores, &mut d_absorbed[own]);
+                    let factors = weights.chunks_exact(heads).zip(d_scores.chunks_exact(heads));
+                    for (row, (weights, d_scores)) in rows.iter().zip(factors) {
+                        let d_entity = &mut d_entities[*row as usize * width..][..width];
+                        for head in 0..heads {
+                            let part = head * width..(head + 1) * width;
+                            add_scaled(d_entity, weights[head], &d_sums[part.clone()]);
+                            add_scaled(d_entity, d_scores[head], &absorbed[part]);
+                        }
+                    }
+                }
+            },
+        );
     }
 }
 
@@ -278,9 +227,9 @@ mod tests {
 
     /// The usual sizes, and fewer heads than are computed at once.
     const SHAPES: [AttentionShape; 4] = [
-        AttentionShape::WIDTH_32,
-        AttentionShape::WIDTH_64,
-        AttentionShape::WIDTH_128,
+        AttentionShape { width: 32, heads: 4 },
+        AttentionShape { width: 64, heads: 4 },
+        AttentionShape { width: 128, heads: 4 },
         AttentionShape { width: 8, heads: 2 },
     ];
     const QUERIES: usize = 3;

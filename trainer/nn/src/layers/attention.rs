@@ -4,113 +4,19 @@
 //! scores `q . k / sqrt(head width)`, softmax over the visible entities only, weighted sum of values.
 //! A query that sees nothing gets a zero vector. Invisible entities are never touched, which is exact
 //! because their weight is zero.
+//!
+//! All that attention does with the rows of a list are three things, which go back through each other: the
+//! [products](List::products) of a vector with each row are scores and, of slopes by the output, slopes by the weights;
+//! [weighted sums](List::sum) of rows are outputs and slopes by the query; and [multiples](List::add_multiples) of a vector
+//! are what each row gets for its slopes.
 
 use std::ops::Range;
 
-use super::wide::{Work, run_widest};
 use sortie_core::internal::math::exp;
 
-use super::vectors::{add_scaled, dots, weighted_sum};
-
-/// For each query the rows that it sees. A partition may split them into those within a part of it, which come first, and
-/// those across; without one all are within.
-#[derive(Clone, Debug, PartialEq)]
-pub struct VisibleLists {
-    /// Query i sees `rows[ends[i] .. ends[i + 1]]`; the first end is 0.
-    ends: Vec<u32>,
-    /// Where in `rows` the rows across begin, per query.
-    splits: Vec<u32>,
-    rows: Vec<u32>,
-}
-
-impl Default for VisibleLists {
-    fn default() -> Self {
-        Self { ends: vec![0], splits: Vec::new(), rows: Vec::new() }
-    }
-}
-
-impl VisibleLists {
-    /// Forgets all lists, keeps the memory.
-    #[inline]
-    pub fn clear(&mut self) {
-        self.ends.truncate(1);
-        self.splits.clear();
-        self.rows.clear();
-    }
-
-    /// Becomes a copy of others, keeps the memory.
-    pub fn copy_from(&mut self, other: &Self) {
-        self.ends.clone_from(&other.ends);
-        self.splits.clone_from(&other.splits);
-        self.rows.clone_from(&other.rows);
-    }
-
-    /// Adds a row to the list that the next [`end_list`](Self::end_list) closes.
-    #[inline]
-    pub fn push(&mut self, row: usize) {
-        self.rows.push(row as u32);
-    }
-
-    /// Closes the list of one query.
-    #[inline]
-    pub fn end_list(&mut self) {
-        self.splits.push(self.rows.len() as u32);
-        self.ends.push(self.rows.len() as u32);
-    }
-
-    /// Adds the list of one query: rows within its part, and across.
-    pub fn push_parts(
-        &mut self,
-        within: impl Iterator<Item = usize>,
-        across: impl Iterator<Item = usize>,
-    ) {
-        self.rows.extend(within.map(|row| row as u32));
-        self.splits.push(self.rows.len() as u32);
-        self.rows.extend(across.map(|row| row as u32));
-        self.ends.push(self.rows.len() as u32);
-    }
-
-    /// Number of queries.
-    #[inline]
-    pub fn queries(&self) -> usize {
-        self.splits.len()
-    }
-
-    /// Total length of all lists.
-    #[inline]
-    pub fn pairs(&self) -> usize {
-        self.rows.len()
-    }
-
-    /// The rows that a query sees.
-    #[inline]
-    pub fn list(&self, query: usize) -> impl Iterator<Item = usize> + '_ {
-        self.span(query).1.iter().map(|row| *row as usize)
-    }
-
-    /// Where a query's pairs begin, and its rows.
-    #[inline]
-    pub(crate) fn span(&self, query: usize) -> (usize, &[u32]) {
-        let (start, end) = (self.ends[query] as usize, self.ends[query + 1] as usize);
-        (start, &self.rows[start..end])
-    }
-
-    /// The rows of all lists.
-    #[inline(always)]
-    pub(super) fn rows(&self) -> &[u32] {
-        &self.rows
-    }
-
-    /// The pairs of every query, and how many of them lie within.
-    #[inline(always)]
-    pub(super) fn spans(&self) -> impl Iterator<Item = (Range<usize>, usize)> {
-        let ends = self.ends.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
-        ends.zip(&self.splits).map(|(pairs, split)| {
-            let within = *split as usize - pairs.start;
-            (pairs, within)
-        })
-    }
-}
+use super::lists::VisibleLists;
+use super::vectors::{add_scaled, add_weighted_sum, dots};
+use super::wide::{run_widest, run_with_width};
 
 /// Sizes of an attention layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,53 +28,127 @@ pub struct AttentionShape {
 }
 
 impl AttentionShape {
-    /// The usual sizes, for which the passes are built with constants: that unrolls their inner loops and
-    /// leaves no checks in them.
-    pub(super) const WIDTH_32: Self = Self { width: 32, heads: 4 };
-    pub(super) const WIDTH_64: Self = Self { width: 64, heads: 4 };
-    pub(super) const WIDTH_128: Self = Self { width: 128, heads: 4 };
-
     #[inline(always)]
     pub(super) fn scale(self) -> f32 {
         1.0 / ((self.width / self.heads) as f32).sqrt()
     }
 }
 
-/// A pass whose sizes may be constants.
-pub(super) trait AttentionWork {
-    /// The sizes.
-    fn shape(&self) -> AttentionShape;
-
-    /// Runs the pass, summing `LANES` columns at a time; to be `#[inline(always)]`.
-    fn pass<const LANES: usize>(self, shape: AttentionShape);
-}
-
-/// Runs a pass, built for its sizes if they are usual, with so many columns summed at a time for each width.
-pub(super) fn run_sized<const NARROW: usize, const MEDIUM: usize, const BROAD: usize>(
-    work: impl AttentionWork,
-) {
-    match work.shape() {
-        AttentionShape::WIDTH_32 => run_widest(Sized::<_, 32, NARROW>(work)),
-        AttentionShape::WIDTH_64 => run_widest(Sized::<_, 64, MEDIUM>(work)),
-        AttentionShape::WIDTH_128 => run_widest(Sized::<_, 128, BROAD>(work)),
-        _ => run_widest(Sized::<_, 0, MEDIUM>(work)),
+/// Runs a pass, which is to be `#[inline(always)]`, in the widest build, usual sizes as constants.
+pub(super) fn run_with_shape(shape: AttentionShape, pass: impl FnOnce(AttentionShape)) {
+    if shape.heads == 4 {
+        run_with_width(
+            shape.width,
+            #[inline(always)]
+            |width| pass(AttentionShape { width, heads: 4 }),
+        );
+    } else {
+        run_widest(
+            #[inline(always)]
+            || pass(shape),
+        );
     }
 }
 
-/// A pass of a usual width, or of any if `WIDTH` is 0.
-struct Sized<W, const WIDTH: usize, const LANES: usize>(W);
+/// Where the vectors of rows stand in a matrix.
+#[derive(Clone, Copy)]
+pub(super) struct Columns {
+    /// Numbers of a row of the matrix.
+    pub(super) stride: usize,
+    /// The first column.
+    pub(super) first: usize,
+    /// Numbers of a vector.
+    pub(super) width: usize,
+}
 
-impl<W: AttentionWork, const WIDTH: usize, const LANES: usize> Work for Sized<W, WIDTH, LANES> {
-    type Output = ();
-
+impl Columns {
+    /// All columns of a matrix that is so wide.
     #[inline(always)]
-    fn run(self) {
-        let shape = match WIDTH {
-            0 => self.0.shape(),
-            width => AttentionShape { width, heads: 4 },
-        };
-        self.0.pass::<LANES>(shape);
+    pub(super) fn all(width: usize) -> Self {
+        Self { stride: width, first: 0, width }
     }
+}
+
+/// Some rows of a matrix. The vectors that are joined with them have a part for each head, one behind the other. A row that
+/// is as wide as such a part is whole for every head; another has parts as well.
+#[derive(Clone, Copy)]
+pub(super) struct List<'a> {
+    pub(super) rows: &'a [u32],
+    pub(super) columns: Columns,
+    pub(super) heads: usize,
+}
+
+impl List<'_> {
+    #[inline(always)]
+    fn place(self, row: u32) -> Range<usize> {
+        let start = row as usize * self.columns.stride + self.columns.first;
+        start..start + self.columns.width
+    }
+
+    /// How wide the parts of a vector are, and how far they are from each other in a row.
+    #[inline(always)]
+    fn parts(self, vector: &[f32]) -> (usize, usize) {
+        let part = vector.len() / self.heads;
+        (part, if part == self.columns.width { 0 } else { part })
+    }
+
+    /// Writes `[list, heads]` the products of a vector and each row.
+    #[inline(always)]
+    pub(super) fn products(self, matrix: &[f32], vector: &[f32], products: &mut [f32]) {
+        for (row, products) in self.rows.iter().zip(products.chunks_exact_mut(self.heads)) {
+            dots(vector, &matrix[self.place(*row)], products);
+        }
+    }
+
+    /// Writes the sum of the rows, weighted by `weights [list, heads]`.
+    #[inline(always)]
+    pub(super) fn sum(self, matrix: &[f32], weights: &[f32], sum: &mut [f32]) {
+        let (part, step) = self.parts(sum);
+        for (head, sum) in sum.chunks_exact_mut(part).enumerate() {
+            let rows = self.rows.iter().zip(weights.chunks_exact(self.heads));
+            let terms = rows.map(|(row, weights)| {
+                (weights[head], &matrix[self.place(*row)][head * step..][..part])
+            });
+            sum.fill(0.0);
+            add_weighted_sum(sum, terms);
+        }
+    }
+
+    /// Adds to each row a vector times its factor of `factors [list, heads]`.
+    #[inline(always)]
+    pub(super) fn add_multiples(self, matrix: &mut [f32], factors: &[f32], vector: &[f32]) {
+        let (part, step) = self.parts(vector);
+        for (row, factors) in self.rows.iter().zip(factors.chunks_exact(self.heads)) {
+            let row = &mut matrix[self.place(*row)];
+            if step == 0 {
+                let terms = factors.iter().copied().zip(vector.chunks_exact(part));
+                add_weighted_sum(row, terms);
+                continue;
+            }
+            let parts = vector.chunks_exact(part).zip(row.chunks_exact_mut(part));
+            for (factor, (vector, row)) in factors.iter().zip(parts) {
+                add_scaled(row, *factor, vector);
+            }
+        }
+    }
+
+    /// Writes the attention weights `[list, heads]` of a query, whose scores are scaled so.
+    #[inline(always)]
+    pub(super) fn weigh(self, keys: &[f32], query: &[f32], scale: f32, weights: &mut [f32]) {
+        self.products(keys, query, weights);
+        weights.iter_mut().for_each(|score| *score *= scale);
+        softmax_columns(weights, self.heads);
+    }
+}
+
+/// Keys and values `[rows, 2 * width]` of a list, a key and then a value in every row.
+#[inline(always)]
+fn in_pairs(shape: AttentionShape, rows: &[u32]) -> [List<'_>; 2] {
+    let AttentionShape { width, heads } = shape;
+    [0, width].map(|first| {
+        let columns = Columns { stride: 2 * width, first, width };
+        List { rows, columns, heads }
+    })
 }
 
 /// Writes the attention `weights [pairs, heads]` and the `output [queries, width]`.
@@ -182,58 +162,32 @@ pub fn forward(
     weights: &mut [f32],
     output: &mut [f32],
 ) {
-    run_sized::<8, 16, 32>(Forward { shape, visible, queries, keys_values, weights, output });
-}
-
-struct Forward<'a> {
-    shape: AttentionShape,
-    visible: &'a VisibleLists,
-    queries: &'a [f32],
-    keys_values: &'a [f32],
-    weights: &'a mut [f32],
-    output: &'a mut [f32],
-}
-
-impl AttentionWork for Forward<'_> {
-    fn shape(&self) -> AttentionShape {
-        self.shape
-    }
-
-    #[inline(always)]
-    fn pass<const LANES: usize>(self, shape: AttentionShape) {
-        let AttentionShape { width, heads } = shape;
-        let (head, scale) = (width / heads, shape.scale());
-        for (index, output) in self.output.chunks_exact_mut(width).enumerate() {
-            let query = &self.queries[index * width..][..width];
-            let (start, list) = self.visible.span(index);
-            let weights = &mut self.weights[start * heads..][..list.len() * heads];
-            for (row, scores) in list.iter().zip(weights.chunks_exact_mut(heads)) {
-                let key = &self.keys_values[*row as usize * 2 * width..][..width];
-                dots(query, key, scores);
-                scores.iter_mut().for_each(|score| *score *= scale);
+    let AttentionShape { width, heads } = shape;
+    run_widest(
+        #[inline(always)]
+        || {
+            for (index, output) in output.chunks_exact_mut(width).enumerate() {
+                let (start, rows) = visible.span(index);
+                let weights = &mut weights[start * heads..][..rows.len() * heads];
+                let [keys, values] = in_pairs(shape, rows);
+                let query = &queries[index * width..][..width];
+                keys.weigh(keys_values, query, shape.scale(), weights);
+                values.sum(keys_values, weights, output);
             }
-            softmax_columns(weights, heads);
-            for (h, output) in output.chunks_exact_mut(head).enumerate() {
-                let values = list.iter().zip(weights.chunks_exact(heads)).map(|(row, weights)| {
-                    let value = (*row as usize * 2 + 1) * width + h * head;
-                    (weights[h], &self.keys_values[value..][..head])
-                });
-                weighted_sum::<LANES>(None, values, output);
-            }
-        }
-    }
+        },
+    );
 }
 
-/// The tensors of a backward pass through [`forward`].
+/// The tensors of a backward pass through [`forward`] or [`squared_scores`].
 #[derive(Debug)]
 pub struct Backward<'a> {
     /// Queries `[queries, width]`, as in the forward pass.
     pub queries: &'a [f32],
     /// Keys and values `[rows, 2 * width]`, as in the forward pass.
     pub keys_values: &'a [f32],
-    /// Attention weights `[pairs, heads]` that the forward pass wrote.
-    pub weights: &'a [f32],
-    /// Gradient of the output `[queries, width]`.
+    /// What the forward pass wrote for pairs `[pairs, heads]`: attention weights, or scores.
+    pub of_pairs: &'a [f32],
+    /// Gradient of the output, or of the sums.
     pub d_output: &'a [f32],
     /// Space for `[longest list, heads]` numbers.
     pub d_scores: &'a mut [f32],
@@ -245,138 +199,116 @@ pub struct Backward<'a> {
 
 /// Writes the gradients of queries, keys and values.
 pub fn backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_>) {
-    run_sized::<8, 16, 32>(BackwardWork { shape, visible, pass });
+    let AttentionShape { width, heads } = shape;
+    run_widest(
+        #[inline(always)]
+        || {
+            pass.d_keys_values.fill(0.0);
+            for index in 0..visible.queries() {
+                let (start, rows) = visible.span(index);
+                let own = index * width..(index + 1) * width;
+                let d_output = &pass.d_output[own.clone()];
+                let weights = &pass.of_pairs[start * heads..][..rows.len() * heads];
+                let d_scores = &mut pass.d_scores[..rows.len() * heads];
+                let [keys, values] = in_pairs(shape, rows);
+                values.products(pass.keys_values, d_output, d_scores);
+                values.add_multiples(pass.d_keys_values, weights, d_output);
+                softmax_columns_backward(weights, d_scores, heads);
+                d_scores.iter_mut().for_each(|d_score| *d_score *= shape.scale());
+                keys.sum(pass.keys_values, d_scores, &mut pass.d_queries[own.clone()]);
+                keys.add_multiples(pass.d_keys_values, d_scores, &pass.queries[own]);
+            }
+        },
+    );
 }
 
-struct BackwardWork<'a> {
+/// Writes the `scores [pairs, heads]`, `q . k` before they are scaled, and `[queries]` the sum of their squares over all
+/// heads and all that each query sees: what a penalty keeps small. Dissertation chapter 3, public code: their mean joins
+/// the critic's loss.
+pub fn squared_scores(
     shape: AttentionShape,
-    visible: &'a VisibleLists,
-    pass: Backward<'a>,
-}
-
-impl AttentionWork for BackwardWork<'_> {
-    fn shape(&self) -> AttentionShape {
-        self.shape
-    }
-
-    #[inline(always)]
-    fn pass<const LANES: usize>(self, shape: AttentionShape) {
-        let Self { visible, pass, .. } = self;
-        let AttentionShape { width, heads } = shape;
-        let (head, scale) = (width / heads, shape.scale());
-        pass.d_keys_values.fill(0.0);
-        for index in 0..visible.queries() {
-            let (start, list) = visible.span(index);
-            let query = &pass.queries[index * width..][..width];
-            let d_output = &pass.d_output[index * width..][..width];
-            let weights = &pass.weights[start * heads..][..list.len() * heads];
-            let d_scores = &mut pass.d_scores[..list.len() * heads];
-
-            for ((row, weights), d_weights) in
-                list.iter().zip(weights.chunks_exact(heads)).zip(d_scores.chunks_exact_mut(heads))
-            {
-                let at = (*row as usize * 2 + 1) * width;
-                let value = &pass.keys_values[at..][..width];
-                let d_value = &mut pass.d_keys_values[at..][..width];
-                dots(d_output, value, d_weights);
-                for ((weight, d_out), d_v) in weights
-                    .iter()
-                    .zip(d_output.chunks_exact(head))
-                    .zip(d_value.chunks_exact_mut(head))
-                {
-                    add_scaled(d_v, *weight, d_out);
+    visible: &VisibleLists,
+    queries: &[f32],
+    keys_values: &[f32],
+    scores: &mut [f32],
+    sums: &mut [f32],
+) {
+    let AttentionShape { width, heads } = shape;
+    run_widest(
+        #[inline(always)]
+        || {
+            for (index, sum) in sums.iter_mut().enumerate() {
+                let (start, rows) = visible.span(index);
+                let scores = &mut scores[start * heads..][..rows.len() * heads];
+                let [keys, _] = in_pairs(shape, rows);
+                keys.products(keys_values, &queries[index * width..][..width], scores);
+                *sum = 0.0;
+                for scores in scores.chunks_exact(heads) {
+                    *sum += scores.iter().map(|score| score * score).sum::<f32>();
                 }
             }
-            softmax_columns_backward(weights, d_scores, heads);
-
-            d_scores.iter_mut().for_each(|d_score| *d_score *= scale);
-
-            let d_query = &mut pass.d_queries[index * width..][..width];
-            for (h, d_query) in d_query.chunks_exact_mut(head).enumerate() {
-                let keys = list.iter().zip(d_scores.chunks_exact(heads)).map(|(row, d_scores)| {
-                    (d_scores[h], &pass.keys_values[*row as usize * 2 * width + h * head..][..head])
-                });
-                weighted_sum::<LANES>(None, keys, d_query);
-            }
-            for (row, d_scores) in list.iter().zip(d_scores.chunks_exact(heads)) {
-                let d_key = &mut pass.d_keys_values[*row as usize * 2 * width..][..width];
-                for ((d_score, q), d_k) in
-                    d_scores.iter().zip(query.chunks_exact(head)).zip(d_key.chunks_exact_mut(head))
-                {
-                    add_scaled(d_k, *d_score, q);
-                }
-            }
-        }
-    }
+        },
+    );
 }
 
-/// Heads whose softmax is computed at once.
-const GROUP: usize = 4;
+/// Writes the gradients of queries and keys, and zeros for values.
+pub fn squared_scores_backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_>) {
+    let AttentionShape { width, heads } = shape;
+    run_widest(
+        #[inline(always)]
+        || {
+            pass.d_keys_values.fill(0.0);
+            for (index, d_sum) in pass.d_output.iter().enumerate() {
+                let (start, rows) = visible.span(index);
+                let own = index * width..(index + 1) * width;
+                let scores = &pass.of_pairs[start * heads..][..rows.len() * heads];
+                let d_scores = &mut pass.d_scores[..scores.len()];
+                let slopes = d_scores.iter_mut().zip(scores);
+                slopes.for_each(|(slope, score)| *slope = 2.0 * d_sum * score);
+                let [keys, _] = in_pairs(shape, rows);
+                keys.sum(pass.keys_values, d_scores, &mut pass.d_queries[own.clone()]);
+                keys.add_multiples(pass.d_keys_values, d_scores, &pass.queries[own]);
+            }
+        },
+    );
+}
+
+/// Most heads.
+const HEADS: usize = 64;
 
 /// Softmax down each column of `scores [list, heads]`, in place. An empty list stays empty.
 #[inline(always)]
 pub(super) fn softmax_columns(scores: &mut [f32], heads: usize) {
-    let whole = heads / GROUP * GROUP;
-    for first in (0..whole).step_by(GROUP) {
-        softmax_group::<GROUP>(scores, heads, first);
-    }
-    for head in whole..heads {
-        softmax_group::<1>(scores, heads, head);
-    }
-}
-
-#[inline(always)]
-fn softmax_group<const HEADS: usize>(scores: &mut [f32], heads: usize, first: usize) {
-    let mut largest = [f32::NEG_INFINITY; HEADS];
+    let (mut largest, mut sums) = ([f32::NEG_INFINITY; HEADS], [0.0; HEADS]);
+    let (largest, sums) = (&mut largest[..heads], &mut sums[..heads]);
     for scores in scores.chunks_exact(heads) {
-        for (largest, score) in largest.iter_mut().zip(&scores[first..][..HEADS]) {
+        for (largest, score) in largest.iter_mut().zip(scores) {
             *largest = if *score > *largest { *score } else { *largest };
         }
     }
-    let mut sums = [0.0; HEADS];
     for scores in scores.chunks_exact_mut(heads) {
-        let scores = &mut scores[first..][..HEADS];
-        for ((score, largest), sum) in scores.iter_mut().zip(largest).zip(&mut sums) {
+        for ((score, largest), sum) in scores.iter_mut().zip(&*largest).zip(&mut *sums) {
             *score = exp(*score - largest);
             *sum += *score;
         }
     }
-    let shares = sums.map(|sum| 1.0 / sum);
+    sums.iter_mut().for_each(|sum| *sum = 1.0 / *sum);
     for weights in scores.chunks_exact_mut(heads) {
-        for (weight, share) in weights[first..][..HEADS].iter_mut().zip(shares) {
-            *weight *= share;
-        }
+        weights.iter_mut().zip(&*sums).for_each(|(weight, share)| *weight *= share);
     }
 }
 
 /// Turns gradients of the weights into gradients of the scores: `p * (d - sum(p * d))`.
 #[inline(always)]
 pub(super) fn softmax_columns_backward(weights: &[f32], gradient: &mut [f32], heads: usize) {
-    let whole = heads / GROUP * GROUP;
-    for first in (0..whole).step_by(GROUP) {
-        softmax_group_backward::<GROUP>(weights, gradient, heads, first);
-    }
-    for head in whole..heads {
-        softmax_group_backward::<1>(weights, gradient, heads, head);
-    }
-}
-
-#[inline(always)]
-fn softmax_group_backward<const HEADS: usize>(
-    weights: &[f32],
-    gradient: &mut [f32],
-    heads: usize,
-    first: usize,
-) {
     let mut sums = [0.0; HEADS];
+    let sums = &mut sums[..heads];
     for (weights, slopes) in weights.chunks_exact(heads).zip(gradient.chunks_exact(heads)) {
-        let (weights, slopes) = (&weights[first..][..HEADS], &slopes[first..][..HEADS]);
         for ((sum, p), d) in sums.iter_mut().zip(weights).zip(slopes) {
             *sum += p * d;
         }
     }
     for (weights, slopes) in weights.chunks_exact(heads).zip(gradient.chunks_exact_mut(heads)) {
-        let (weights, slopes) = (&weights[first..][..HEADS], &mut slopes[first..][..HEADS]);
         for ((sum, p), d) in sums.iter().zip(weights).zip(slopes) {
             *d = p * (*d - sum);
         }

@@ -6,7 +6,7 @@ use sortie_core::internal::math;
 
 use super::matrix::Store;
 use super::vectors;
-use super::wide::{Work, run_widest};
+use super::wide::run_widest;
 
 /// A function of one number whose slope follows from its value.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,6 +70,26 @@ pub fn activate_backward(
     }
 }
 
+/// Replaces numbers below zero by zero.
+pub fn rectify(values: &mut [f32]) {
+    run_widest(
+        #[inline(always)]
+        || values.iter_mut().for_each(|value| *value = value.max(0.0)),
+    );
+}
+
+/// Zeroes the slopes where what was rectified is zero.
+pub fn rectify_backward(rectified: &[f32], slopes: &mut [f32]) {
+    run_widest(
+        #[inline(always)]
+        || {
+            for (value, slope) in rectified.iter().zip(slopes) {
+                *slope = if *value > 0.0 { *slope } else { 0.0 };
+            }
+        },
+    );
+}
+
 /// Writes the absolute value of every number.
 pub fn absolute(x: &[f32], y: &mut [f32]) {
     map(x, y, f32::abs);
@@ -84,7 +104,10 @@ pub fn absolute_backward(x: &[f32], d_y: &[f32], store: Store, d_x: &mut [f32]) 
 pub fn scale(factor: f32, x: &[f32], store: Store, y: &mut [f32]) {
     match store {
         Store::Replace => map(x, y, move |x| factor * x),
-        Store::Add => run_widest(AddScaled { factor, x, y }),
+        Store::Add => run_widest(
+            #[inline(always)]
+            || vectors::add_scaled(y, factor, x),
+        ),
     }
 }
 
@@ -100,88 +123,32 @@ pub fn add(a: &[f32], b: &[f32], y: &mut [f32]) {
 
 /// The dot product of two vectors.
 pub fn dot(a: &[f32], b: &[f32]) -> f32 {
-    run_widest(Dot { a, b })
+    let mut sum = [0.0];
+    run_widest(
+        #[inline(always)]
+        || vectors::dots(a, b, &mut sum),
+    );
+    sum[0]
 }
 
 fn map(x: &[f32], y: &mut [f32], function: impl Fn(f32) -> f32) {
-    run_widest(Map { x, y, function });
+    run_widest(
+        #[inline(always)]
+        || y.iter_mut().zip(x).for_each(|(y, x)| *y = function(*x)),
+    );
 }
 
 fn join(a: &[f32], b: &[f32], store: Store, y: &mut [f32], function: impl Fn(f32, f32) -> f32) {
-    run_widest(Join { a, b, store, y, function });
-}
-
-struct Map<'a, F> {
-    x: &'a [f32],
-    y: &'a mut [f32],
-    function: F,
-}
-
-impl<F: Fn(f32) -> f32> Work for Map<'_, F> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        for (y, x) in self.y.iter_mut().zip(self.x) {
-            *y = (self.function)(*x);
-        }
-    }
-}
-
-struct Join<'a, F> {
-    a: &'a [f32],
-    b: &'a [f32],
-    store: Store,
-    y: &'a mut [f32],
-    function: F,
-}
-
-impl<F: Fn(f32, f32) -> f32> Work for Join<'_, F> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let terms = self.a.iter().zip(self.b);
-        match self.store {
-            Store::Replace => {
-                self.y.iter_mut().zip(terms).for_each(|(y, (a, b))| *y = (self.function)(*a, *b));
+    run_widest(
+        #[inline(always)]
+        || {
+            let terms = y.iter_mut().zip(a.iter().zip(b));
+            match store {
+                Store::Replace => terms.for_each(|(y, (a, b))| *y = function(*a, *b)),
+                Store::Add => terms.for_each(|(y, (a, b))| *y += function(*a, *b)),
             }
-            Store::Add => {
-                self.y.iter_mut().zip(terms).for_each(|(y, (a, b))| *y += (self.function)(*a, *b));
-            }
-        }
-    }
-}
-
-struct AddScaled<'a> {
-    factor: f32,
-    x: &'a [f32],
-    y: &'a mut [f32],
-}
-
-impl Work for AddScaled<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        vectors::add_scaled(self.y, self.factor, self.x);
-    }
-}
-
-struct Dot<'a> {
-    a: &'a [f32],
-    b: &'a [f32],
-}
-
-impl Work for Dot<'_> {
-    type Output = f32;
-
-    #[inline(always)]
-    fn run(self) -> f32 {
-        let mut sum = [0.0];
-        vectors::dots(self.a, self.b, &mut sum);
-        sum[0]
-    }
+        },
+    );
 }
 
 /// `factor` times the sum of squares of distances.
@@ -216,6 +183,16 @@ fn sum(x: &[f32], target: &[f32], factor: f32, loss: impl Fn(f32) -> f32) -> f32
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn positive_numbers_and_their_slopes_only_are_passed_on() {
+        let mut values = [-1.0, 0.0, 2.0];
+        rectify(&mut values);
+        assert_eq!(values, [0.0, 0.0, 2.0]);
+        let mut slopes = [5.0, 6.0, 7.0];
+        rectify_backward(&values, &mut slopes);
+        assert_eq!(slopes, [0.0, 0.0, 7.0]);
+    }
 
     /// The loss itself, which a constant too much would change and no slope would show.
     #[test]

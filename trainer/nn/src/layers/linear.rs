@@ -1,9 +1,8 @@
 //! The dense linear layer `y = W x + b`.
 
-use super::wide::{Work, run_widest};
-
 use super::matrix::{Matrix, MatrixMut, Store, multiply};
 use super::vectors::add_scaled;
+use super::wide::run_widest;
 
 /// Sizes of a linear layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,53 +16,19 @@ pub struct LinearShape {
 /// Writes `y [rows, output]` from `x [rows, input]`, `weight [output, input]`, `bias [output]`.
 pub fn forward(shape: LinearShape, x: &[f32], weight: &[f32], bias: &[f32], y: &mut [f32]) {
     forward_without_bias(shape, x, weight, y);
-    run_widest(AddBias { least: f32::NEG_INFINITY, bias, y });
+    add_bias(f32::NEG_INFINITY, bias, y);
 }
 
-/// As [`forward`], with the rectifier `max(0, y)` behind it.
-pub fn forward_rectified(
-    shape: LinearShape,
-    x: &[f32],
-    weight: &[f32],
-    bias: &[f32],
-    y: &mut [f32],
-) {
-    forward_without_bias(shape, x, weight, y);
-    run_widest(AddBias { least: 0.0, bias, y });
-}
-
-/// As [`forward_rectified`] of two inputs with a matrix each, whose products are added up. The second may be of another
-/// width.
-pub fn forward_rectified_sum(
-    shape: LinearShape,
-    [(x, weight), (added_x, added_weight)]: [(&[f32], &[f32]); 2],
-    bias: &[f32],
-    y: &mut [f32],
-) {
-    forward_without_bias(shape, x, weight, y);
-    let added = LinearShape { input: added_weight.len() / shape.output, ..shape };
-    product(added, Store::Add, added_x, added_weight, y);
-    run_widest(AddBias { least: 0.0, bias, y });
-}
-
-struct AddBias<'a> {
-    bias: &'a [f32],
-    /// What smaller sums are replaced by.
-    least: f32,
-    y: &'a mut [f32],
-}
-
-impl Work for AddBias<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        for row in self.y.chunks_exact_mut(self.bias.len()) {
-            for (y, bias) in row.iter_mut().zip(self.bias) {
-                *y = (*y + bias).max(self.least);
+/// Adds the bias to every row; `least` is what smaller sums are replaced by: 0 makes it a rectified layer.
+pub(crate) fn add_bias(least: f32, bias: &[f32], y: &mut [f32]) {
+    run_widest(
+        #[inline(always)]
+        || {
+            for row in y.chunks_exact_mut(bias.len()) {
+                row.iter_mut().zip(bias).for_each(|(y, bias)| *y = (*y + bias).max(least));
             }
-        }
-    }
+        },
+    );
 }
 
 /// Writes `y [rows, output]` from `x [rows, input]` and `weight [output, input]`.
@@ -71,7 +36,8 @@ pub fn forward_without_bias(shape: LinearShape, x: &[f32], weight: &[f32], y: &m
     product(shape, Store::Replace, x, weight, y);
 }
 
-fn product(shape: LinearShape, store: Store, x: &[f32], weight: &[f32], y: &mut [f32]) {
+/// The same, or adds it to what stands in `y`.
+pub(crate) fn product(shape: LinearShape, store: Store, x: &[f32], weight: &[f32], y: &mut [f32]) {
     let rows = y.len() / shape.output;
     multiply(
         MatrixMut::new(y, rows, shape.output),
@@ -111,23 +77,10 @@ pub fn backward_weight(shape: LinearShape, x: &[f32], d_y: &[f32], d_weight: &mu
 
 /// Adds to `d_bias [output]` the column sums of `d_y`.
 pub fn backward_bias(d_y: &[f32], d_bias: &mut [f32]) {
-    run_widest(BackwardBias { d_y, d_bias });
-}
-
-struct BackwardBias<'a> {
-    d_y: &'a [f32],
-    d_bias: &'a mut [f32],
-}
-
-impl Work for BackwardBias<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        for row in self.d_y.chunks_exact(self.d_bias.len()) {
-            add_scaled(self.d_bias, 1.0, row);
-        }
-    }
+    run_widest(
+        #[inline(always)]
+        || d_y.chunks_exact(d_bias.len()).for_each(|row| add_scaled(d_bias, 1.0, row)),
+    );
 }
 
 #[cfg(test)]
@@ -163,7 +116,9 @@ mod tests {
         let (x, other_x) = (random(1, ROWS * 5), random(2, ROWS * 5));
         let (weight, other, bias) = (random(3, 15), random(4, 15), random(5, 3));
         let mut y = vec![f32::NAN; ROWS * 3];
-        forward_rectified_sum(SHAPE, [(&x, &weight), (&other_x, &other)], &bias, &mut y);
+        product(SHAPE, Store::Replace, &x, &weight, &mut y);
+        product(SHAPE, Store::Add, &other_x, &other, &mut y);
+        add_bias(0.0, &bias, &mut y);
         let (mut one, mut two) = (vec![0.0; ROWS * 3], vec![0.0; ROWS * 3]);
         forward(SHAPE, &x, &weight, &bias, &mut one);
         forward_without_bias(SHAPE, &other_x, &other, &mut two);

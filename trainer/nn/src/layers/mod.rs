@@ -7,14 +7,13 @@
 
 pub mod absorbed_attention;
 pub mod attention;
-pub mod attention_scores;
 pub mod elementwise;
 pub mod gru;
 pub mod linear;
+mod lists;
 pub mod matrix;
 pub mod normalise;
 pub mod products;
-pub mod relu;
 pub mod softmax;
 pub mod sparse_linear;
 pub mod split_attention;
@@ -23,6 +22,6 @@ pub mod unfold;
 pub mod vectors;
 pub mod wide;
 
-pub use attention::VisibleLists;
+pub use lists::VisibleLists;
 pub use sparse_linear::SparseRows;
 pub use team_attention::TeamLists;

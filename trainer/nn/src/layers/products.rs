@@ -2,9 +2,8 @@
 //!
 //! A wider register adds up a product's terms in another order, so that its last bits differ. Hence the width is
 //! chosen and not found: a thread computes its products as [`Products::use_here`] told it, else as
-//! [`Products::usual`] has it, and the threads of [`Workers`](crate::workers::Workers) and
-//! [`in_lanes`](crate::lanes::in_lanes) do as the thread does that gives them work. All other loops of the
-//! layers give the same bits on every processor.
+//! [`Products::usual`] has it, and the threads of [`in_lanes`](crate::lanes::in_lanes) do as the thread does
+//! that gives them work. All other loops of the layers give the same bits on every processor.
 
 use std::cell::Cell;
 use std::fmt;
@@ -80,12 +79,7 @@ impl Products {
 
 impl fmt::Display for Products {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Plain => "plain",
-            Self::Neon => "neon",
-            Self::Avx2 => "avx2",
-            Self::Avx512 => "avx512",
-        })
+        f.write_str(["plain", "neon", "avx2", "avx512"][*self as usize])
     }
 }
 

@@ -3,89 +3,43 @@
 //! One-hot features turn the product into a sum of a dozen weight rows, so the weight is stored
 //! `[input, output]` and zero features cost nothing. The result equals the dense product.
 
-use super::wide::{Work, run_widest};
-
-use super::vectors::{add_scaled, weighted_sum};
+use super::vectors::{add_scaled, add_weighted_sum};
+use super::wide::run_with_width;
 
 pub use sortie_envs::SparseRows;
 
 /// Writes `y [rows, width]` from `weight [input, width]` and `bias [width]`.
 pub fn forward(x: &SparseRows, weight: &[f32], bias: &[f32], y: &mut [f32]) {
-    run_widest(Forward { x, weight, bias, y });
-}
-
-struct Forward<'a> {
-    x: &'a SparseRows,
-    weight: &'a [f32],
-    bias: &'a [f32],
-    y: &'a mut [f32],
-}
-
-impl Work for Forward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        match self.bias.len() {
-            32 => self.sum::<32>(32),
-            64 => self.sum::<64>(64),
-            128 => self.sum::<64>(128),
-            width => self.sum::<64>(width),
-        }
-    }
-}
-
-impl Forward<'_> {
-    /// Sums `LANES` columns at a time. The usual widths are constants, which unrolls the loops.
-    #[inline(always)]
-    fn sum<const LANES: usize>(self, width: usize) {
-        for (row, y) in self.y.chunks_exact_mut(width).enumerate() {
-            let terms = self
-                .x
-                .row(row)
-                .map(|(column, value)| (value, &self.weight[column * width..][..width]));
-            weighted_sum::<LANES>(Some(self.bias), terms, y);
-        }
-    }
+    run_with_width(
+        bias.len(),
+        #[inline(always)]
+        |width| {
+            for (row, y) in y.chunks_exact_mut(width).enumerate() {
+                let entries = x.row(row);
+                let terms =
+                    entries.map(|(column, value)| (value, &weight[column * width..][..width]));
+                y.copy_from_slice(bias);
+                add_weighted_sum(y, terms);
+            }
+        },
+    );
 }
 
 /// Adds the gradients of `weight [input, width]` and `bias [width]`; features have none.
 pub fn backward(x: &SparseRows, d_y: &[f32], d_weight: &mut [f32], d_bias: &mut [f32]) {
-    run_widest(Backward { x, d_y, d_weight, d_bias });
-}
-
-struct Backward<'a> {
-    x: &'a SparseRows,
-    d_y: &'a [f32],
-    d_weight: &'a mut [f32],
-    d_bias: &'a mut [f32],
-}
-
-impl Work for Backward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        match self.d_bias.len() {
-            32 => self.descend(32),
-            64 => self.descend(64),
-            128 => self.descend(128),
-            width => self.descend(width),
-        }
-    }
-}
-
-impl Backward<'_> {
-    #[inline(always)]
-    fn descend(self, width: usize) {
-        let d_bias = &mut self.d_bias[..width];
-        for (row, d_y) in self.d_y.chunks_exact(width).enumerate() {
-            add_scaled(d_bias, 1.0, d_y);
-            for (column, value) in self.x.row(row) {
-                add_scaled(&mut self.d_weight[column * width..][..width], value, d_y);
+    run_with_width(
+        d_bias.len(),
+        #[inline(always)]
+        |width| {
+            let d_bias = &mut d_bias[..width];
+            for (row, d_y) in d_y.chunks_exact(width).enumerate() {
+                add_scaled(d_bias, 1.0, d_y);
+                for (column, value) in x.row(row) {
+                    add_scaled(&mut d_weight[column * width..][..width], value, d_y);
+                }
             }
-        }
-    }
+        },
+    );
 }
 
 #[cfg(test)]

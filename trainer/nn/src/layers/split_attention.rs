@@ -10,8 +10,8 @@ use std::slice::SliceIndex;
 
 use sortie_core::internal::math::exp;
 
-use super::attention::VisibleLists;
-use super::wide::{Work, run_widest};
+use super::lists::VisibleLists;
+use super::wide::run_widest;
 
 /// The queries' outputs, one behind the other: from everything and, with imagination, from within and
 /// from across.
@@ -45,28 +45,16 @@ pub fn is_built_for(width: usize, heads: usize) -> bool {
 
 /// Attends, at a width of 16, 32, 64 or 128. There are as many blocks as `output` has room for.
 pub fn forward(width: usize, lists: &VisibleLists, pass: Forward<'_>) {
-    run_widest(ForwardWork { width, lists, pass });
-}
-
-struct ForwardWork<'a> {
-    width: usize,
-    lists: &'a VisibleLists,
-    pass: Forward<'a>,
-}
-
-impl Work for ForwardWork<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        match self.width {
-            16 => self.attend::<4>(),
-            32 => self.attend::<8>(),
-            64 => self.attend::<16>(),
-            128 => self.attend::<32>(),
+    run_widest(
+        #[inline(always)]
+        || match width {
+            16 => attend::<4>(lists, pass),
+            32 => attend::<8>(lists, pass),
+            64 => attend::<16>(lists, pass),
+            128 => attend::<32>(lists, pass),
             width => panic!("no attention of width {width}"),
-        }
-    }
+        },
+    );
 }
 
 /// Numbers of every head.
@@ -116,40 +104,37 @@ fn dot<const HEAD: usize>(one: &Vector<HEAD>, other: &Vector<HEAD>) -> Heads {
     black_box(sums).map(|[a, b, c, d]| (a + c) + (b + d))
 }
 
-impl ForwardWork<'_> {
-    #[inline(always)]
-    fn attend<const HEAD: usize>(self) {
-        let scale = 1.0 / (HEAD as f32).sqrt();
-        let Self { lists, pass, .. } = self;
-        let agents = lists.queries();
-        let imagines = pass.output.len() > agents * HEADS * HEAD;
-        let (weights, _) = pass.weights.as_chunks_mut::<HEADS>();
-        let (shares, _) = pass.shares.as_chunks_mut::<HEADS>();
-        for (query, (pairs, split)) in lists.spans().enumerate() {
-            let list = &lists.rows()[pairs.clone()];
-            let weights = &mut weights[pairs];
-            let own = vector::<HEAD>(pass.queries, query);
-            for (row, weights) in list.iter().zip(&mut *weights) {
-                let key = vector(pass.keys_values, 2 * *row as usize);
-                *weights = dot(own, key).map(|score| scale * score);
-            }
-            if !imagines {
-                softmax(weights);
-                *vector_mut(pass.output, query) = sum::<HEAD>(list, weights, pass.keys_values);
-                continue;
-            }
-            let (inner, outer) = weights.split_at_mut(split);
-            let share = share(softmax(inner), softmax(outer));
-            shares[query] = share;
-            let within = sum::<HEAD>(&list[..split], inner, pass.keys_values);
-            let across = sum::<HEAD>(&list[split..], outer, pass.keys_values);
-            *vector_mut(pass.output, agents + query) = within;
-            *vector_mut(pass.output, 2 * agents + query) = across;
-            let everything = vector_mut(pass.output, query);
-            *everything = [[0.0; HEAD]; HEADS];
-            add(everything, &share, &within);
-            add(everything, &share.map(|share| 1.0 - share), &across);
+#[inline(always)]
+fn attend<const HEAD: usize>(lists: &VisibleLists, pass: Forward<'_>) {
+    let scale = 1.0 / (HEAD as f32).sqrt();
+    let agents = lists.queries();
+    let imagines = pass.output.len() > agents * HEADS * HEAD;
+    let (weights, _) = pass.weights.as_chunks_mut::<HEADS>();
+    let (shares, _) = pass.shares.as_chunks_mut::<HEADS>();
+    for (query, (pairs, split)) in lists.spans().enumerate() {
+        let list = &lists.rows()[pairs.clone()];
+        let weights = &mut weights[pairs];
+        let own = vector::<HEAD>(pass.queries, query);
+        for (row, weights) in list.iter().zip(&mut *weights) {
+            let key = vector(pass.keys_values, 2 * *row as usize);
+            *weights = dot(own, key).map(|score| scale * score);
         }
+        if !imagines {
+            softmax(weights);
+            *vector_mut(pass.output, query) = sum::<HEAD>(list, weights, pass.keys_values);
+            continue;
+        }
+        let (inner, outer) = weights.split_at_mut(split);
+        let share = share(softmax(inner), softmax(outer));
+        shares[query] = share;
+        let within = sum::<HEAD>(&list[..split], inner, pass.keys_values);
+        let across = sum::<HEAD>(&list[split..], outer, pass.keys_values);
+        *vector_mut(pass.output, agents + query) = within;
+        *vector_mut(pass.output, 2 * agents + query) = across;
+        let everything = vector_mut(pass.output, query);
+        *everything = [[0.0; HEAD]; HEADS];
+        add(everything, &share, &within);
+        add(everything, &share.map(|share| 1.0 - share), &across);
     }
 }
 
@@ -245,76 +230,60 @@ pub struct Backward<'a> {
 
 /// Writes the gradients of queries, keys and values.
 pub fn backward(width: usize, lists: &VisibleLists, pass: Backward<'_>) {
-    run_widest(BackwardWork { width, lists, pass });
-}
-
-struct BackwardWork<'a> {
-    width: usize,
-    lists: &'a VisibleLists,
-    pass: Backward<'a>,
-}
-
-impl Work for BackwardWork<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        match self.width {
-            16 => self.descend::<4>(),
-            32 => self.descend::<8>(),
-            64 => self.descend::<16>(),
-            128 => self.descend::<32>(),
+    run_widest(
+        #[inline(always)]
+        || match width {
+            16 => descend::<4>(lists, pass),
+            32 => descend::<8>(lists, pass),
+            64 => descend::<16>(lists, pass),
+            128 => descend::<32>(lists, pass),
             width => panic!("no attention of width {width}"),
-        }
-    }
+        },
+    );
 }
 
-impl BackwardWork<'_> {
-    #[inline(always)]
-    fn descend<const HEAD: usize>(self) {
-        let Self { lists, pass, .. } = self;
-        let agents = lists.queries();
-        let scale = 1.0 / (HEAD as f32).sqrt();
-        let imagines = pass.d_output.len() > agents * HEADS * HEAD;
-        pass.d_keys_values.fill(0.0);
-        let (weights, _) = pass.weights.as_chunks::<HEADS>();
-        let (shares, _) = pass.shares.as_chunks::<HEADS>();
-        let (d_scores, _) = pass.d_scores.as_chunks_mut::<HEADS>();
-        for (query, (pairs, split)) in lists.spans().enumerate() {
-            let list = &lists.rows()[pairs.clone()];
-            let (weights, d_scores) = (&weights[pairs.clone()], &mut d_scores[pairs]);
-            let d_all = vector::<HEAD>(pass.d_output, query);
-            let values = (pass.keys_values, &mut *pass.d_keys_values);
-            if imagines {
-                let part = |tensor, part: usize| vector::<HEAD>(tensor, part * agents + query);
-                let (mut d_within, mut d_across) =
-                    (*part(pass.d_output, 1), *part(pass.d_output, 2));
-                let share = &shares[query];
-                add(&mut d_within, share, d_all);
-                add(&mut d_across, &share.map(|share| 1.0 - share), d_all);
-                let gains = [1, 2].map(|it| dot(d_all, part(pass.output, it)));
-                let d_mass = std::array::from_fn(|head| {
-                    share[head] * (1.0 - share[head]) * (gains[0][head] - gains[1][head])
-                });
-                let (inner, outer) =
-                    (Part::new(list, weights, ..split), Part::new(list, weights, split..));
-                let (d_inner, d_outer) = d_scores.split_at_mut(split);
-                let (keys_values, d_keys_values) = values;
-                inner.descend(&d_within, &d_mass, (keys_values, d_keys_values), d_inner);
-                let d_mass = d_mass.map(|d| -d);
-                outer.descend(&d_across, &d_mass, (keys_values, d_keys_values), d_outer);
-            } else {
-                Part::new(list, weights, ..).descend(d_all, &[0.0; HEADS], values, d_scores);
-            }
-            let own = vector::<HEAD>(pass.queries, query);
-            let mut d_own = [[0.0; HEAD]; HEADS];
-            for (row, d_score) in list.iter().zip(&*d_scores) {
-                let d_score = d_score.map(|d| scale * d);
-                add(&mut d_own, &d_score, vector(pass.keys_values, 2 * *row as usize));
-                add(vector_mut(pass.d_keys_values, 2 * *row as usize), &d_score, own);
-            }
-            *vector_mut(pass.d_queries, query) = d_own;
+#[inline(always)]
+fn descend<const HEAD: usize>(lists: &VisibleLists, pass: Backward<'_>) {
+    let agents = lists.queries();
+    let scale = 1.0 / (HEAD as f32).sqrt();
+    let imagines = pass.d_output.len() > agents * HEADS * HEAD;
+    pass.d_keys_values.fill(0.0);
+    let (weights, _) = pass.weights.as_chunks::<HEADS>();
+    let (shares, _) = pass.shares.as_chunks::<HEADS>();
+    let (d_scores, _) = pass.d_scores.as_chunks_mut::<HEADS>();
+    for (query, (pairs, split)) in lists.spans().enumerate() {
+        let list = &lists.rows()[pairs.clone()];
+        let (weights, d_scores) = (&weights[pairs.clone()], &mut d_scores[pairs]);
+        let d_all = vector::<HEAD>(pass.d_output, query);
+        let values = (pass.keys_values, &mut *pass.d_keys_values);
+        if imagines {
+            let part = |tensor, part: usize| vector::<HEAD>(tensor, part * agents + query);
+            let (mut d_within, mut d_across) = (*part(pass.d_output, 1), *part(pass.d_output, 2));
+            let share = &shares[query];
+            add(&mut d_within, share, d_all);
+            add(&mut d_across, &share.map(|share| 1.0 - share), d_all);
+            let gains = [1, 2].map(|it| dot(d_all, part(pass.output, it)));
+            let d_mass = std::array::from_fn(|head| {
+                share[head] * (1.0 - share[head]) * (gains[0][head] - gains[1][head])
+            });
+            let (inner, outer) =
+                (Part::new(list, weights, ..split), Part::new(list, weights, split..));
+            let (d_inner, d_outer) = d_scores.split_at_mut(split);
+            let (keys_values, d_keys_values) = values;
+            inner.descend(&d_within, &d_mass, (keys_values, d_keys_values), d_inner);
+            let d_mass = d_mass.map(|d| -d);
+            outer.descend(&d_across, &d_mass, (keys_values, d_keys_values), d_outer);
+        } else {
+            Part::new(list, weights, ..).descend(d_all, &[0.0; HEADS], values, d_scores);
         }
+        let own = vector::<HEAD>(pass.queries, query);
+        let mut d_own = [[0.0; HEAD]; HEADS];
+        for (row, d_score) in list.iter().zip(&*d_scores) {
+            let d_score = d_score.map(|d| scale * d);
+            add(&mut d_own, &d_score, vector(pass.keys_values, 2 * *row as usize));
+            add(vector_mut(pass.d_keys_values, 2 * *row as usize), &d_score, own);
+        }
+        *vector_mut(pass.d_queries, query) = d_own;
     }
 }
 
@@ -420,7 +389,7 @@ mod tests {
                 let pass = attention::Backward {
                     queries,
                     keys_values,
-                    weights,
+                    of_pairs: weights,
                     d_output,
                     d_scores,
                     d_queries,

@@ -5,11 +5,9 @@
 //! Where furthermore only the sum over a team's queries is asked for, weights are added up before rows
 //! are. Both are exact.
 
-use super::attention::{
-    AttentionShape, AttentionWork, VisibleLists, run_sized, softmax_columns,
-    softmax_columns_backward,
-};
-use super::vectors::{add_scaled, add_weighted_sum, dots, dots_with, weighted_sum};
+use super::attention::{AttentionShape, Columns, List, run_with_shape, softmax_columns_backward};
+use super::lists::VisibleLists;
+use super::vectors::add_scaled;
 
 /// Teams of queries and the rows that each team attends to.
 ///
@@ -133,86 +131,36 @@ pub struct Forward<'a> {
 
 /// Writes attention weights and weighted sums of rows.
 pub fn forward(shape: AttentionShape, teams: &TeamLists, sums: Sums, pass: Forward<'_>) {
-    run_sized::<32, 64, 64>(ForwardWork { shape, teams, sums, pass });
-}
-
-struct ForwardWork<'a> {
-    shape: AttentionShape,
-    teams: &'a TeamLists,
-    sums: Sums,
-    pass: Forward<'a>,
-}
-
-impl AttentionWork for ForwardWork<'_> {
-    fn shape(&self) -> AttentionShape {
-        self.shape
-    }
-
-    #[inline(always)]
-    fn pass<const LANES: usize>(self, shape: AttentionShape) {
-        let Self { teams, sums, pass, .. } = self;
-        let (mut weights, mut out) = (pass.weights, pass.sums);
-        let mut totals = Vec::new();
-        for (queries, rows) in teams.each() {
-            let count = rows.len() * shape.heads;
-            let own = weights.split_off_mut(..queries.len() * count).expect("as many as pairs");
-            for (query, weights) in queries.clone().zip(own.chunks_exact_mut(count.max(1))) {
-                let query = &pass.queries[query * shape.width..][..shape.width];
-                weigh(shape, query, pass.keys, rows, weights);
-            }
-            let wide = shape.heads * shape.width;
-            match sums {
-                Sums::PerQuery => {
-                    let out = out.split_off_mut(..queries.len() * wide).expect("one per query");
-                    for (index, out) in out.chunks_exact_mut(wide).enumerate() {
-                        sum_rows::<LANES>(
-                            shape,
-                            &own[index * count..][..count],
-                            pass.rows,
-                            rows,
-                            out,
-                        );
+    let Forward { queries: all, keys, rows: matrix, mut weights, sums: mut out } = pass;
+    let mut totals = Vec::new();
+    run_with_shape(
+        shape,
+        #[inline(always)]
+        |shape| {
+            let AttentionShape { width, heads } = shape;
+            for (queries, rows) in teams.each() {
+                let list = List { rows, columns: Columns::all(width), heads };
+                let (count, wide) = (rows.len() * heads, heads * width);
+                let own = weights.split_off_mut(..queries.len() * count).expect("as many as pairs");
+                for (query, weights) in queries.clone().zip(own.chunks_exact_mut(count.max(1))) {
+                    list.weigh(keys, &all[query * width..][..width], shape.scale(), weights);
+                }
+                match sums {
+                    Sums::PerQuery => {
+                        let out = out.split_off_mut(..queries.len() * wide).expect("one per query");
+                        for (index, out) in out.chunks_exact_mut(wide).enumerate() {
+                            list.sum(matrix, &own[index * count..][..count], out);
+                        }
+                    }
+                    Sums::PerTeam => {
+                        add_up(own, count, &mut totals);
+                        let out = out.split_off_mut(..wide).expect("one per team");
+                        list.sum(matrix, &totals, out);
                     }
                 }
-                Sums::PerTeam => {
-                    add_up(own, count, &mut totals);
-                    let out = out.split_off_mut(..wide).expect("one per team");
-                    sum_rows::<LANES>(shape, &totals, pass.rows, rows, out);
-                }
             }
-        }
-    }
-}
-
-/// Writes the attention weights `[list, heads]` of one query.
-#[inline(always)]
-fn weigh(shape: AttentionShape, query: &[f32], keys: &[f32], list: &[u32], weights: &mut [f32]) {
-    let AttentionShape { width, heads } = shape;
-    let scale = shape.scale();
-    for (row, scores) in list.iter().zip(weights.chunks_exact_mut(heads)) {
-        dots(query, &keys[*row as usize * width..][..width], scores);
-        scores.iter_mut().for_each(|score| *score *= scale);
-    }
-    softmax_columns(weights, heads);
-}
-
-/// Writes for each head the sum of the listed rows, weighted by `weights [list, heads]`.
-#[inline(always)]
-fn sum_rows<const LANES: usize>(
-    shape: AttentionShape,
-    weights: &[f32],
-    rows: &[f32],
-    list: &[u32],
-    out: &mut [f32],
-) {
-    let AttentionShape { width, heads } = shape;
-    for (head, out) in out.chunks_exact_mut(width).enumerate() {
-        let terms = list
-            .iter()
-            .zip(weights.chunks_exact(heads))
-            .map(|(row, weights)| (weights[head], &rows[*row as usize * width..][..width]));
-        weighted_sum::<LANES>(None, terms, out);
-    }
+        },
+    );
 }
 
 /// Adds up vectors of so many numbers that stand one behind the other.
@@ -248,101 +196,45 @@ pub struct Backward<'a> {
 
 /// Writes the gradients of queries, keys and rows.
 pub fn backward(shape: AttentionShape, teams: &TeamLists, sums: Sums, pass: Backward<'_>) {
-    run_sized::<32, 64, 64>(BackwardWork { shape, teams, sums, pass });
-}
-
-struct BackwardWork<'a> {
-    shape: AttentionShape,
-    teams: &'a TeamLists,
-    sums: Sums,
-    pass: Backward<'a>,
-}
-
-impl AttentionWork for BackwardWork<'_> {
-    fn shape(&self) -> AttentionShape {
-        self.shape
-    }
-
-    #[inline(always)]
-    fn pass<const LANES: usize>(self, shape: AttentionShape) {
-        let Self { teams, sums, mut pass, .. } = self;
-        pass.d_keys.fill(0.0);
-        pass.d_rows.fill(0.0);
-        let wide = shape.heads * shape.width;
-        let (mut weights, mut d_sums) = (pass.weights, pass.d_sums);
-        let (mut totals, mut d_totals, mut d_scores) = (Vec::new(), Vec::new(), Vec::new());
-        for (queries, list) in teams.each() {
-            let count = list.len() * shape.heads;
-            let own = weights.split_off(..queries.len() * count).expect("as many as pairs");
-            if sums == Sums::PerTeam {
-                let d_sums = d_sums.split_off(..wide).expect("one per team");
-                add_up(own, count, &mut totals);
+    let Backward { queries: all, keys, rows: matrix, mut weights, mut d_sums, .. } = pass;
+    let Backward { d_queries, d_keys, d_rows, .. } = pass;
+    let (mut totals, mut d_totals, mut d_scores) = (Vec::new(), Vec::new(), Vec::new());
+    run_with_shape(
+        shape,
+        #[inline(always)]
+        |shape| {
+            let AttentionShape { width, heads } = shape;
+            d_keys.fill(0.0);
+            d_rows.fill(0.0);
+            for (queries, rows) in teams.each() {
+                let list = List { rows, columns: Columns::all(width), heads };
+                let (count, wide) = (rows.len() * heads, heads * width);
+                let own = weights.split_off(..queries.len() * count).expect("as many as pairs");
                 d_totals.resize(count, 0.0);
-                descend_sum::<LANES>(shape, &totals, list, d_sums, &mut pass, &mut d_totals);
-            }
-            for (query, weights) in queries.zip(own.chunks_exact(count.max(1))) {
+                d_scores.resize(count, 0.0);
                 if sums == Sums::PerTeam {
-                    d_scores.clone_from(&d_totals);
-                } else {
-                    let d_sums = d_sums.split_off(..wide).expect("one per query");
-                    d_scores.resize(count, 0.0);
-                    descend_sum::<LANES>(shape, weights, list, d_sums, &mut pass, &mut d_scores);
+                    let d_sums = d_sums.split_off(..wide).expect("one per team");
+                    add_up(own, count, &mut totals);
+                    list.products(matrix, d_sums, &mut d_totals);
+                    list.add_multiples(d_rows, &totals, d_sums);
                 }
-                softmax_columns_backward(weights, &mut d_scores, shape.heads);
-                descend_scores(shape, query, list, &mut d_scores, &mut pass);
+                for (query, weights) in queries.zip(own.chunks_exact(count.max(1))) {
+                    if sums == Sums::PerTeam {
+                        d_scores.copy_from_slice(&d_totals);
+                    } else {
+                        let d_sums = d_sums.split_off(..wide).expect("one per query");
+                        list.products(matrix, d_sums, &mut d_scores);
+                        list.add_multiples(d_rows, weights, d_sums);
+                    }
+                    softmax_columns_backward(weights, &mut d_scores, heads);
+                    d_scores.iter_mut().for_each(|d_score| *d_score *= shape.scale());
+                    let own = query * width..(query + 1) * width;
+                    list.sum(keys, &d_scores, &mut d_queries[own.clone()]);
+                    list.add_multiples(d_keys, &d_scores, &all[own]);
+                }
             }
-        }
-    }
-}
-
-/// Goes back through [`sum_rows`]: adds to the rows' gradients, writes that of the weights.
-#[inline(always)]
-fn descend_sum<const LANES: usize>(
-    shape: AttentionShape,
-    weights: &[f32],
-    list: &[u32],
-    d_sums: &[f32],
-    pass: &mut Backward<'_>,
-    d_weights: &mut [f32],
-) {
-    let AttentionShape { width, heads } = shape;
-    let weights = weights.chunks_exact(heads).zip(d_weights.chunks_exact_mut(heads));
-    for (row, (weights, d_weights)) in list.iter().zip(weights) {
-        let at = *row as usize * width;
-        dots_with(d_sums, &pass.rows[at..][..width], d_weights);
-        let terms = weights.iter().copied().zip(d_sums.chunks_exact(width));
-        add_weighted_sum::<LANES>(&mut pass.d_rows[at..][..width], terms);
-    }
-}
-
-/// Goes back from the gradient of one query's scores, before their scale, to query and keys.
-#[inline(always)]
-fn descend_scores(
-    shape: AttentionShape,
-    query: usize,
-    list: &[u32],
-    d_scores: &mut [f32],
-    pass: &mut Backward<'_>,
-) {
-    let AttentionShape { width, heads } = shape;
-    let (head, scale) = (width / heads, shape.scale());
-    d_scores.iter_mut().for_each(|d_score| *d_score *= scale);
-    let d_query = &mut pass.d_queries[query * width..][..width];
-    for (h, d_query) in d_query.chunks_exact_mut(head).enumerate() {
-        let keys = list.iter().zip(d_scores.chunks_exact(heads)).map(|(row, d_scores)| {
-            (d_scores[h], &pass.keys[*row as usize * width + h * head..][..head])
-        });
-        weighted_sum::<16>(None, keys, d_query);
-    }
-    let query = &pass.queries[query * width..][..width];
-    for (row, d_scores) in list.iter().zip(d_scores.chunks_exact(heads)) {
-        let d_key = &mut pass.d_keys[*row as usize * width..][..width];
-        for ((d_score, q), d_k) in
-            d_scores.iter().zip(query.chunks_exact(head)).zip(d_key.chunks_exact_mut(head))
-        {
-            add_scaled(d_k, *d_score, q);
-        }
-    }
+        },
+    );
 }
 
 #[cfg(test)]

@@ -21,41 +21,23 @@ pub fn add_scaled(out: &mut [f32], factor: f32, values: &[f32]) {
     }
 }
 
-/// Writes to `out` the sum of `start`, if any, and of every vector in `terms` times its factor.
-///
-/// The terms are gone through once for every `LANES` columns, whose sums stay in registers meanwhile.
+/// Adds to `out` the sum of every vector in `terms` times its factor.
 #[inline(always)]
-pub fn weighted_sum<'a, const LANES: usize>(
-    start: Option<&[f32]>,
-    terms: impl Iterator<Item = (f32, &'a [f32])> + Clone,
+pub fn add_weighted_sum<'a>(
     out: &mut [f32],
+    terms: impl Iterator<Item = (f32, &'a [f32])> + Clone,
 ) {
-    let (blocks, rest) = out.as_chunks_mut::<LANES>();
-    let mut column = 0;
-    for block in blocks {
-        let chunk = |values: &[f32]| values[column..].first_chunk::<LANES>().copied();
-        let mut sums = start.and_then(chunk).unwrap_or([0.0; LANES]);
-        for (factor, values) in terms.clone() {
-            let values = values[column..].first_chunk::<LANES>().expect("as long as the sum");
-            for i in 0..LANES {
-                sums[i] += factor * values[i];
-            }
-        }
-        *block = sums;
-        column += LANES;
-    }
-    match start {
-        Some(start) => rest.copy_from_slice(&start[column..]),
-        None => rest.fill(0.0),
-    }
-    for (factor, values) in terms {
-        add_scaled(rest, factor, &values[column..]);
+    match out.len() {
+        64.. => add_in_blocks::<64>(out, terms),
+        32.. => add_in_blocks::<32>(out, terms),
+        16.. => add_in_blocks::<16>(out, terms),
+        _ => add_in_blocks::<8>(out, terms),
     }
 }
 
-/// Adds to `out` the sum of every vector in `terms` times its factor, `LANES` columns at a time.
+/// Goes through the terms once for every `LANES` columns, whose sums stay in registers meanwhile.
 #[inline(always)]
-pub fn add_weighted_sum<'a, const LANES: usize>(
+fn add_in_blocks<'a, const LANES: usize>(
     out: &mut [f32],
     terms: impl Iterator<Item = (f32, &'a [f32])> + Clone,
 ) {
@@ -80,18 +62,13 @@ pub fn add_weighted_sum<'a, const LANES: usize>(
 /// Vectors whose dot products are taken at once.
 const GROUP: usize = 4;
 
-/// Writes the dot products of the vectors that stand behind each other in `a` and in `b`, as many as `out`.
+/// Writes the dot products of the vectors that stand behind each other in `a` and in `b`, as many as `out`; where `b` is one
+/// of them, with each of those in `a`.
 #[inline(always)]
 pub fn dots(a: &[f32], b: &[f32], out: &mut [f32]) {
     let width = a.len() / out.len().max(1);
-    write_dots(out, |index| (&a[index * width..][..width], &b[index * width..][..width]));
-}
-
-/// Writes the dot products of `b` and each of the vectors that stand behind each other in `a`.
-#[inline(always)]
-pub fn dots_with(a: &[f32], b: &[f32], out: &mut [f32]) {
-    let width = b.len();
-    write_dots(out, |index| (&a[index * width..][..width], b));
+    let step = if b.len() == width { 0 } else { width };
+    write_dots(out, |index| (&a[index * width..][..width], &b[index * step..][..width]));
 }
 
 /// Writes the dot product of each pair of vectors, which have equal lengths.
@@ -142,20 +119,15 @@ mod tests {
 
     #[test]
     fn a_weighted_sum_covers_whole_blocks_and_the_rest() {
-        for width in [3, 16, 21, 40] {
+        for width in [3, 8, 16, 21, 40, 70] {
             let (start, values) = (random(1, width), random(2, 3 * width));
             let factors = [0.5, -2.0, 0.25];
             let terms = factors.into_iter().zip(values.chunks_exact(width));
             let sum = |j: usize| -> f32 {
                 factors.iter().enumerate().map(|(i, factor)| factor * values[i * width + j]).sum()
             };
-            let mut out = vec![f32::NAN; width];
-            weighted_sum::<16>(None, terms.clone(), &mut out);
-            assert_close(&out, (0..width).map(sum));
-            weighted_sum::<16>(Some(&start), terms.clone(), &mut out);
-            assert_close(&out, (0..width).map(|j| start[j] + sum(j)));
-            out.copy_from_slice(&start);
-            add_weighted_sum::<16>(&mut out, terms);
+            let mut out = start.clone();
+            add_weighted_sum(&mut out, terms);
             assert_close(&out, (0..width).map(|j| start[j] + sum(j)));
         }
     }
@@ -167,7 +139,10 @@ mod tests {
             let mut out = vec![f32::NAN; count];
             dots(&a, &b, &mut out);
             let pairs = a.chunks_exact(width).zip(b.chunks_exact(width));
-            assert_close(&out, pairs.map(|(a, b)| a.iter().zip(b).map(|(a, b)| a * b).sum()));
+            let product = |(a, b): (&[f32], &[f32])| a.iter().zip(b).map(|(a, b)| a * b).sum();
+            assert_close(&out, pairs.map(product));
+            dots(&a, &b[..width], &mut out);
+            assert_close(&out, a.chunks_exact(width).map(|a| product((a, &b[..width]))));
         }
     }
 }

@@ -1,15 +1,13 @@
 //! The way back: from the slope of the loss to those of all parameters, step by step.
 
-use std::mem;
 use std::ops::Range;
 
-use super::{Gru, Indices, Linear, Norm, Operation, Pass, Tape, Var};
+use super::{Gru, Indices, Linear, Operation, Pass, Tape, Var};
 use crate::layers::attention::AttentionShape;
 use crate::layers::gru::GruShape;
 use crate::layers::matrix::Store;
 use crate::layers::{
-    attention, attention_scores, elementwise, linear, normalise, relu, softmax, sparse_linear,
-    split_attention, unfold,
+    attention, elementwise, linear, softmax, sparse_linear, split_attention, unfold,
 };
 
 impl Pass<'_> {
@@ -42,19 +40,28 @@ impl Tape {
             Operation::Given => {}
             Operation::Linear { x, layer, rectified } => {
                 if rectified {
-                    relu::backward(&self.values[own.clone()], &mut self.slopes[own.clone()]);
+                    elementwise::rectify_backward(
+                        &self.values[own.clone()],
+                        &mut self.slopes[own.clone()],
+                    );
                 }
                 self.descend_linear(x, layer, own, parameters, gradient);
             }
             Operation::LinearSum { x, layers } => {
-                relu::backward(&self.values[own.clone()], &mut self.slopes[own.clone()]);
+                elementwise::rectify_backward(
+                    &self.values[own.clone()],
+                    &mut self.slopes[own.clone()],
+                );
                 for (x, layer) in x.into_iter().zip(layers) {
                     self.descend_linear(x, layer, own.clone(), parameters, gradient);
                 }
             }
             Operation::SparseLinear { rows, layer, rectified } => {
                 if rectified {
-                    relu::backward(&self.values[own.clone()], &mut self.slopes[own.clone()]);
+                    elementwise::rectify_backward(
+                        &self.values[own.clone()],
+                        &mut self.slopes[own.clone()],
+                    );
                 }
                 let [weight, bias] = weight_and_bias(layer, gradient);
                 let rows = &self.sparse.things[rows as usize];
@@ -65,18 +72,13 @@ impl Tape {
             }),
             Operation::Softmax { x } => self.through_rows(x, own, softmax::backward),
             Operation::LogSoftmax { x } => self.through_rows(x, own, softmax::log_backward),
-            Operation::Normalise { x } => {
-                let columns = self.columns(x);
-                self.through(x, own, |x, y, d_x| normalise::rows_backward(columns, x, y, d_x));
+            Operation::Attend { inputs, lists, weights, shape, parts } => {
+                let places = [lists, weights].map(|place| place as usize);
+                self.descend_attention(inputs, places, shape, parts, own);
             }
-            Operation::Affine { x, layer } => {
-                self.descend_affine(x, layer, own, parameters, gradient)
-            }
-            Operation::Attend { queries, keys_values, lists, weights, shape } => {
-                self.descend_attention([queries, keys_values], lists, weights as usize, shape, own);
-            }
-            Operation::SquaredScores { queries, keys_values, lists, shape } => {
-                self.descend_scores([queries, keys_values], lists, shape, own);
+            Operation::SquaredScores { inputs, lists, scores, shape } => {
+                let places = [lists, scores].map(|place| place as usize);
+                self.descend_scores(inputs, places, shape, own);
             }
             Operation::Recur { x, pass, carry, slots, layer } => {
                 let places = [pass, carry, slots].map(|place| place as usize);
@@ -183,15 +185,6 @@ impl Tape {
                     elementwise::huber_slope(x - target, factor * d_y, bound)
                 });
             }
-            Operation::Custom { x, number } => {
-                let range = self.of(x).range();
-                let mut scratch = mem::take(&mut self.scratch);
-                let d_x = sized(&mut scratch, range.len());
-                let (custom, d_y) = (&mut self.customs[number as usize], &self.slopes[own]);
-                custom.backward(parameters, &self.values[range], d_y, d_x, gradient);
-                self.keep(x, d_x);
-                self.scratch = scratch;
-            }
             Operation::SoftmaxGroups { x, indices, groups } => {
                 self.descend_softmax_groups(x, indices, groups as usize, own);
             }
@@ -206,82 +199,16 @@ impl Tape {
                     elementwise::absolute_backward(&values[range], d_y, store, d_x);
                 });
             }
-            Operation::Absorb { queries, entities, keys_values, lists, pass, heads } => {
-                let (lists, pass, heads) = (lists as usize, pass as usize, heads as usize);
+            Operation::Absorb { inputs, keys_values, lists, pass, heads } => {
+                let places = [lists, pass, heads].map(|place| place as usize);
                 let weight = keys_values.weight_range();
                 let matrix = (&parameters[weight.clone()], &mut gradient[weight]);
-                self.descend_absorbed([queries, entities], matrix, [lists, pass, heads], own);
+                self.descend_absorbed(inputs, matrix, places, own);
             }
-            Operation::AttendInTeams { queries, keys, rows, lists, weights, heads, sums } => {
-                let places = [lists as usize, weights as usize, heads as usize];
-                self.descend_teams([queries, keys, rows], places, sums, own);
+            Operation::AttendInTeams { inputs, lists, weights, heads, sums } => {
+                let places = [lists, weights, heads].map(|place| place as usize);
+                self.descend_teams(inputs, places, sums, own);
             }
-            Operation::AttendSplit { queries, keys_values, lists, weights, shares } => {
-                let places = [lists, weights, shares].map(|place| place as usize);
-                self.descend_split_attention([queries, keys_values], places, own);
-            }
-        }
-    }
-
-    /// Has `write` store the slopes by `x`, from all values before the step, its results and its slopes.
-    pub(super) fn from(
-        &mut self,
-        x: Var,
-        own: Range<usize>,
-        write: impl FnOnce(Store, &[f32], &[f32], &[f32], &mut [f32]),
-    ) {
-        let Some((range, store)) = self.slopes_of(x) else { return };
-        let (before, rest) = self.slopes.split_at_mut(own.start);
-        let (values, results) = self.values.split_at(own.start);
-        write(store, values, &results[..own.len()], &rest[..own.len()], &mut before[range]);
-    }
-
-    /// Has `turn` make slopes by `x` of those by the results, from input and results.
-    fn through(
-        &mut self,
-        x: Var,
-        own: Range<usize>,
-        turn: impl FnOnce(&[f32], &[f32], &mut [f32]),
-    ) {
-        let range = self.of(x).range();
-        let mut scratch = mem::take(&mut self.scratch);
-        let d_x = sized(&mut scratch, own.len());
-        d_x.copy_from_slice(&self.slopes[own.clone()]);
-        turn(&self.values[range], &self.values[own], d_x);
-        self.keep(x, d_x);
-        self.scratch = scratch;
-    }
-
-    /// Has `turn` make slopes by a row of `x` of those by a row of the results, from that row.
-    fn through_rows(&mut self, x: Var, own: Range<usize>, turn: impl Fn(&[f32], &mut [f32])) {
-        let columns = self.columns(x);
-        self.through(x, own, |_, y, d_x| {
-            let rows = y.chunks_exact(columns).zip(d_x.chunks_exact_mut(columns));
-            rows.for_each(|(y, d_x)| turn(y, d_x));
-        });
-    }
-
-    /// Has `add` add to the slopes by `x`, from indices and the slopes by the results.
-    fn added(
-        &mut self,
-        x: Var,
-        indices: Indices,
-        own: Range<usize>,
-        add: impl FnOnce(&[u32], &[f32], &mut [f32]),
-    ) {
-        let Some((range, store)) = self.slopes_of(x) else { return };
-        let (before, rest) = self.slopes.split_at_mut(own.start);
-        let d_x = &mut before[range];
-        if store == Store::Replace {
-            d_x.fill(0.0);
-        }
-        add(&self.indices[indices.0 as usize..indices.1 as usize], &rest[..own.len()], d_x);
-    }
-
-    /// Stores slopes by `x` that were computed elsewhere.
-    pub(super) fn keep(&mut self, x: Var, slopes: &[f32]) {
-        if let Some((range, store)) = self.slopes_of(x) {
-            elementwise::scale(1.0, slopes, store, &mut self.slopes[range]);
         }
     }
 
@@ -306,22 +233,6 @@ impl Tape {
         });
     }
 
-    fn descend_affine(
-        &mut self,
-        x: Var,
-        layer: Norm,
-        own: Range<usize>,
-        parameters: &[f32],
-        gradient: &mut [f32],
-    ) {
-        let places = layer.start..layer.start + 2 * layer.width;
-        let (d_factors, d_offsets) = gradient[places.clone()].split_at_mut(layer.width);
-        let factors = &parameters[places][..layer.width];
-        self.through(x, own, |x, _, slopes| {
-            normalise::affine_backward(factors, x, slopes, d_factors, d_offsets);
-        });
-    }
-
     fn descend_gru(
         &mut self,
         x: Var,
@@ -331,19 +242,17 @@ impl Tape {
         parameters: &[f32],
         gradient: &mut [f32],
     ) {
-        let range = self.of(x).range();
-        let mut scratch = mem::take(&mut self.scratch);
-        let d_x = sized(&mut scratch, range.len());
-        let shape = GruShape { width: layer.width, slots };
-        self.grus.things[pass].backward(
-            shape,
-            &parameters[layer.range()],
-            (&self.values[range.clone()], &self.carry[carry..][..range.len() / layer.width]),
-            (&self.slopes[own], &mut *d_x),
-            &mut gradient[layer.range()],
-        );
-        self.keep(x, d_x);
-        self.scratch = scratch;
+        let (range, shape) = (self.of(x).range(), GruShape { width: layer.width, slots });
+        self.descend_into([x], 0, own, |tape, d_y, [d_x], _| {
+            let carry = &tape.carry[carry..][..range.len() / layer.width];
+            tape.grus.things[pass].backward(
+                shape,
+                &parameters[layer.range()],
+                (&tape.values[range], carry),
+                (d_y, d_x),
+                &mut gradient[layer.range()],
+            );
+        });
     }
 
     fn descend_concat(&mut self, parts: Indices, own: Range<usize>) {
@@ -399,77 +308,71 @@ impl Tape {
     /// Through queries, keys and values.
     fn descend_attention(
         &mut self,
-        [queries, keys_values]: [Var; 2],
-        lists: u32,
-        weights: usize,
+        inputs: [Var; 2],
+        [lists, weights]: [usize; 2],
         shape: AttentionShape,
+        parts: bool,
         own: Range<usize>,
     ) {
-        let visible = &self.lists.things[lists as usize];
-        let ranges = [queries, keys_values].map(|var| self.of(var).range());
-        let [q, kv] = ranges.clone().map(|range| &self.values[range]);
-        let numbers = [q.len(), kv.len(), visible.pairs() * shape.heads];
-        let mut scratch = mem::take(&mut self.scratch);
-        let space = sized(&mut scratch, numbers.iter().sum());
-        let (d_queries, space) = space.split_at_mut(numbers[0]);
-        let (d_keys_values, d_scores) = space.split_at_mut(numbers[1]);
-        let weights = &self.values[weights..][..visible.pairs() * shape.heads];
-        let d_output = &self.slopes[own];
-        if split_attention::is_built_for(shape.width, shape.heads) {
-            let pass = split_attention::Backward {
-                queries: q,
-                keys_values: kv,
-                weights,
-                shares: &[],
-                output: &[],
-                d_output,
-                d_scores,
-                d_queries: &mut *d_queries,
-                d_keys_values: &mut *d_keys_values,
-            };
-            split_attention::backward(shape.width, visible, pass);
-        } else {
-            let pass = attention::Backward {
-                queries: q,
-                keys_values: kv,
-                weights,
-                d_output,
-                d_scores,
-                d_queries: &mut *d_queries,
-                d_keys_values: &mut *d_keys_values,
-            };
-            attention::backward(shape, visible, pass);
-        }
-        self.keep(keys_values, d_keys_values);
-        self.keep(queries, d_queries);
-        self.scratch = scratch;
+        let (ranges, results) = (inputs.map(|var| self.of(var).range()), own.clone());
+        let pairs = self.lists.things[lists].pairs() * shape.heads;
+        self.descend_into(inputs, pairs, own, |tape, d_output, d_inputs, d_scores| {
+            let (visible, values) = (&tape.lists.things[lists], &tape.values);
+            let [queries, keys_values] = ranges.map(|range| &values[range]);
+            let [d_queries, d_keys_values] = d_inputs;
+            let (of_pairs, behind) = values[weights..].split_at(pairs);
+            if parts || split_attention::is_built_for(shape.width, shape.heads) {
+                let pass = split_attention::Backward {
+                    queries,
+                    keys_values,
+                    weights: of_pairs,
+                    shares: behind,
+                    output: &values[results],
+                    d_output,
+                    d_scores,
+                    d_queries,
+                    d_keys_values,
+                };
+                split_attention::backward(shape.width, visible, pass);
+            } else {
+                let pass = attention::Backward {
+                    queries,
+                    keys_values,
+                    of_pairs,
+                    d_output,
+                    d_scores,
+                    d_queries,
+                    d_keys_values,
+                };
+                attention::backward(shape, visible, pass);
+            }
+        });
     }
 
     /// Through the squared scores of queries and keys.
     fn descend_scores(
         &mut self,
-        [queries, keys_values]: [Var; 2],
-        lists: u32,
+        inputs: [Var; 2],
+        [lists, scores]: [usize; 2],
         shape: AttentionShape,
         own: Range<usize>,
     ) {
-        let ranges = [queries, keys_values].map(|var| self.of(var).range());
-        let [q, kv] = ranges.map(|range| &self.values[range]);
-        let mut scratch = mem::take(&mut self.scratch);
-        let space = sized(&mut scratch, q.len() + kv.len());
-        space.fill(0.0);
-        let (d_queries, d_keys_values) = space.split_at_mut(q.len());
-        let pass = attention_scores::Backward {
-            queries: q,
-            keys_values: kv,
-            d_sums: &self.slopes[own],
-            d_queries: &mut *d_queries,
-            d_keys_values: &mut *d_keys_values,
-        };
-        attention_scores::backward(shape, &self.lists.things[lists as usize], pass);
-        self.keep(keys_values, d_keys_values);
-        self.keep(queries, d_queries);
-        self.scratch = scratch;
+        let ranges = inputs.map(|var| self.of(var).range());
+        let pairs = self.lists.things[lists].pairs() * shape.heads;
+        self.descend_into(inputs, pairs, own, |tape, d_output, d_inputs, d_scores| {
+            let [queries, keys_values] = ranges.map(|range| &tape.values[range]);
+            let [d_queries, d_keys_values] = d_inputs;
+            let pass = attention::Backward {
+                queries,
+                keys_values,
+                of_pairs: &tape.values[scores..][..pairs],
+                d_output,
+                d_scores,
+                d_queries,
+                d_keys_values,
+            };
+            attention::squared_scores_backward(shape, &tape.lists.things[lists], pass);
+        });
     }
 }
 
@@ -477,12 +380,4 @@ impl Tape {
 fn weight_and_bias(layer: Linear, gradient: &mut [f32]) -> [&mut [f32]; 2] {
     let bias = layer.bias_range().expect("sparse layers have offsets");
     gradient.get_disjoint_mut([layer.weight_range(), bias]).expect("tensors beside each other")
-}
-
-/// The first so many numbers of a buffer that only grows.
-pub(super) fn sized(buffer: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
-    if buffer.len() < numbers {
-        buffer.resize(numbers, 0.0);
-    }
-    &mut buffer[..numbers]
 }

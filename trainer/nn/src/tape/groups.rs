@@ -1,13 +1,12 @@
-//! Steps by groups of rows, such as the agents of each team, and by what is seen in two parts.
+//! Steps by groups of rows, such as the agents of each team.
 
 use std::mem;
 use std::ops::Range;
 
-use super::backward::sized;
+use super::slopes::sized;
 use super::{Indices, Operation, Pass, Tape, Var};
+use crate::layers::elementwise;
 use crate::layers::matrix::Store;
-use crate::layers::split_attention::{self, BLOCKS, HEADS};
-use crate::layers::{VisibleLists, elementwise};
 use sortie_core::internal::math::exp;
 
 impl Pass<'_> {
@@ -40,45 +39,6 @@ impl Pass<'_> {
             by_group_mut(to, columns, of_groups, y, |sum, y| *y /= sum);
         });
         self.tape.scratch = scratch;
-        y
-    }
-
-    /// What each query makes of the rows that it sees, in four heads, at a width of one of
-    /// [`WIDTHS`](split_attention::WIDTHS). With `parts` there are three blocks `[3 * queries, width]`: of everything, of what
-    /// lies within its part and of what lies across, as imagined passes need them (REFIL, dissertation section 5.4); no pair is
-    /// looked at twice. Sizes as of [`attention`](Self::attention).
-    pub fn split_attention(
-        &mut self,
-        queries: Var,
-        keys_values: Var,
-        lists: &VisibleLists,
-        parts: bool,
-    ) -> Var {
-        let [count, width] = self.size(queries);
-        assert_eq!((count, 2 * width), (lists.queries(), self.size(keys_values)[1]), "sizes");
-        let (place, kept) = self.tape.lists.next();
-        kept.copy_from(lists);
-        let [pairs, shares] = [lists.pairs(), count].map(|rows| rows * HEADS);
-        let start = self.tape.reserve(pairs + shares);
-        let rows = if parts { BLOCKS * count } else { count };
-        let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
-        let (weights, places) = (start as u32, (start + pairs) as u32);
-        let operation =
-            Operation::AttendSplit { queries, keys_values, lists: place, weights, shares: places };
-        let y = self.tape.push(operation, rows, width, needs);
-        let [queries, keys_values] = [queries, keys_values].map(|var| self.tape.of(var).range());
-        let range = self.tape.of(y).range();
-        let (before, rest) = self.tape.values.split_at_mut(start);
-        let (space, rest) = rest.split_at_mut(range.start - start);
-        let (weights, shares) = space.split_at_mut(pairs);
-        let pass = split_attention::Forward {
-            queries: &before[queries],
-            keys_values: &before[keys_values],
-            weights,
-            shares,
-            output: &mut rest[..rows * width],
-        };
-        split_attention::forward(width, lists, pass);
         y
     }
 }
@@ -123,67 +83,19 @@ impl Tape {
         own: Range<usize>,
     ) {
         let columns = self.columns(x);
-        let mut scratch = mem::take(&mut self.scratch);
-        let space = sized(&mut scratch, groups * columns + own.len());
-        let (sums, d_x) = space.split_at_mut(groups * columns);
-        let to = &self.indices[indices.0 as usize..indices.1 as usize];
-        let y = &self.values[own.clone()];
-        elementwise::multiply(y, &self.slopes[own], Store::Replace, d_x);
-        sums.fill(0.0);
-        by_group(to, columns, sums, d_x, |sum, product| *sum += product);
-        for ((group, d_x), y) in
-            to.iter().zip(d_x.chunks_exact_mut(columns)).zip(y.chunks_exact(columns))
-        {
-            let sums = &sums[*group as usize * columns..][..columns];
-            d_x.iter_mut().zip(y.iter().zip(sums)).for_each(|(d_x, (y, sum))| *d_x -= y * sum);
-        }
-        self.keep(x, d_x);
-        self.scratch = scratch;
-    }
-
-    /// Through queries, keys and values. Their slopes are written where they belong if nothing stands there yet.
-    pub(super) fn descend_split_attention(
-        &mut self,
-        inputs: [Var; 2],
-        [lists, weights, shares]: [usize; 3],
-        own: Range<usize>,
-    ) {
-        let ranges = inputs.map(|var| self.of(var).range());
-        let stores = inputs.map(|var| self.slopes_of(var).map(|(_, store)| store));
-        let at_place = stores == [Some(Store::Replace); 2];
-        let lists = &self.lists.things[lists];
-        let [pairs, queries] = [lists.pairs(), lists.queries()].map(|rows| rows * HEADS);
-        let lengths = ranges.clone().map(|range| if at_place { 0 } else { range.len() });
-        let mut scratch = mem::take(&mut self.scratch);
-        let space = sized(&mut scratch, pairs + lengths[0] + lengths[1]);
-        let (d_scores, space) = space.split_at_mut(pairs);
-        let (before, rest) = self.slopes.split_at_mut(own.start);
-        let [d_queries, d_keys_values] = if at_place {
-            before.get_disjoint_mut(ranges.clone()).expect("queries are no keys")
-        } else {
-            space.split_at_mut(lengths[0]).into()
-        };
-        let pass = split_attention::Backward {
-            queries: &self.values[ranges[0].clone()],
-            keys_values: &self.values[ranges[1].clone()],
-            weights: &self.values[weights..][..pairs],
-            shares: &self.values[shares..][..queries],
-            output: &self.values[own.clone()],
-            d_output: &rest[..own.len()],
-            d_scores,
-            d_queries,
-            d_keys_values,
-        };
-        split_attention::backward(self.nodes[inputs[0].0 as usize].columns as usize, lists, pass);
-        if !at_place {
-            let slopes = space.split_at(lengths[0]);
-            for ((range, store), slopes) in ranges.into_iter().zip(stores).zip([slopes.0, slopes.1])
+        let results = own.clone();
+        self.descend_into([x], groups * columns, own, |tape, d_y, [d_x], sums| {
+            let to = &tape.indices[indices.0 as usize..indices.1 as usize];
+            let y = &tape.values[results];
+            elementwise::multiply(y, d_y, Store::Replace, d_x);
+            sums.fill(0.0);
+            by_group(to, columns, sums, d_x, |sum, product| *sum += product);
+            for ((group, d_x), y) in
+                to.iter().zip(d_x.chunks_exact_mut(columns)).zip(y.chunks_exact(columns))
             {
-                if let Some(store) = store {
-                    elementwise::scale(1.0, slopes, store, &mut self.slopes[range]);
-                }
+                let sums = &sums[*group as usize * columns..][..columns];
+                d_x.iter_mut().zip(y.iter().zip(sums)).for_each(|(d_x, (y, sum))| *d_x -= y * sum);
             }
-        }
-        self.scratch = scratch;
+        });
     }
 }

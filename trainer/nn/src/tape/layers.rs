@@ -1,12 +1,13 @@
 //! Steps with parameters, and those of networks: layers, attention, memories.
 
-use super::{Gru, Linear, Norm, Operation, Pass, Var};
+use super::{Gru, Linear, Operation, Pass, Var};
 use crate::layers::attention::AttentionShape;
 use crate::layers::gru::GruShape;
+use crate::layers::matrix::Store;
+use crate::layers::split_attention::{self, BLOCKS};
 use crate::layers::unfold::UnfoldShape;
 use crate::layers::{
-    SparseRows, VisibleLists, attention, attention_scores, linear, normalise, relu, sparse_linear,
-    split_attention, unfold,
+    SparseRows, VisibleLists, attention, elementwise, linear, sparse_linear, unfold,
 };
 
 impl Pass<'_> {
@@ -38,8 +39,9 @@ impl Pass<'_> {
         let ranges = [x, added].map(|var| self.tape.of(var).range());
         let (before, out) = self.tape.split(y);
         let [x, added] = ranges.map(|range| &before[range]);
-        let parts = [(x, weight), (added, added_weight)];
-        linear::forward_rectified_sum(layer.shape, parts, bias, out);
+        linear::product(layer.shape, Store::Replace, x, weight, out);
+        linear::product(added_layer.shape, Store::Add, added, added_weight, out);
+        linear::add_bias(0.0, bias, out);
         y
     }
 
@@ -52,15 +54,12 @@ impl Pass<'_> {
         let bias = layer.bias_range().map(|range| &self.parameters[range]);
         let range = self.tape.of(x).range();
         let (before, out) = self.tape.split(y);
-        let x = &before[range];
-        match (bias, rectified) {
-            (Some(bias), false) => linear::forward(layer.shape, x, weight, bias, out),
-            (Some(bias), true) => linear::forward_rectified(layer.shape, x, weight, bias, out),
-            (None, false) => linear::forward_without_bias(layer.shape, x, weight, out),
-            (None, true) => {
-                linear::forward_without_bias(layer.shape, x, weight, out);
-                relu::forward(out);
-            }
+        linear::forward_without_bias(layer.shape, &before[range], weight, out);
+        match bias {
+            Some(bias) if rectified => linear::add_bias(0.0, bias, out),
+            Some(bias) => linear::add_bias(f32::NEG_INFINITY, bias, out),
+            None if rectified => elementwise::rectify(out),
+            None => {}
         }
         y
     }
@@ -86,12 +85,13 @@ impl Pass<'_> {
         let out = self.tape.split(y).1;
         sparse_linear::forward(features, weight, &self.parameters[bias], out);
         if rectified {
-            relu::forward(out);
+            elementwise::rectify(out);
         }
         y
     }
 
-    /// A convolution: a picture a row in, its patches behind each other out, `[patches, output]` of each.
+    /// A convolution: a picture a row in, its patches behind each other out, `[patches, output]` of each. The kernels are
+    /// those of a layer over a patch.
     pub fn convolution(&mut self, x: Var, shape: UnfoldShape, layer: Linear) -> Var {
         let pictures = self.size(x)[0];
         let patches = self.unfold(x, shape);
@@ -111,21 +111,6 @@ impl Pass<'_> {
         })
     }
 
-    /// Layer normalisation: every row with mean 0 and variance 1, then factors and offsets of columns.
-    pub fn layer_norm(&mut self, x: Var, layer: Norm) -> Var {
-        let size = self.size(x);
-        let normal = self.step(Operation::Normalise { x }, x, size, |x, y| {
-            normalise::rows(size[1], x, y);
-        });
-        let y = self.tape.push(Operation::Affine { x: normal, layer }, size[0], size[1], true);
-        let parameters = &self.parameters[layer.start..layer.start + 2 * layer.width];
-        let (factors, offsets) = parameters.split_at(layer.width);
-        let range = self.tape.of(normal).range();
-        let (before, out) = self.tape.split(y);
-        normalise::affine(factors, offsets, &before[range], out);
-        y
-    }
-
     /// What each query makes of the rows that it sees: `queries [queries, width]`, `keys_values [rows, 2 width]`
     /// a key and its value in a row. Several passes may share keys and values, and see others of them.
     pub fn attention(
@@ -135,38 +120,47 @@ impl Pass<'_> {
         visible: &VisibleLists,
         heads: usize,
     ) -> Var {
-        let [count, width] = self.size(queries);
-        assert_eq!((count, 2 * width), (visible.queries(), self.size(keys_values)[1]), "sizes");
+        self.attend([queries, keys_values], visible, heads, false)
+    }
+
+    /// Three blocks `[3 * queries, width]` of attention in four heads, at a width of one of
+    /// [`WIDTHS`](split_attention::WIDTHS): of everything that a query sees, of what lies within its part and of what lies
+    /// across, as imagined passes need them (REFIL, dissertation section 5.4); no pair is looked at twice. Sizes as of
+    /// [`attention`](Self::attention).
+    pub fn split_attention(
+        &mut self,
+        queries: Var,
+        keys_values: Var,
+        visible: &VisibleLists,
+    ) -> Var {
+        self.attend([queries, keys_values], visible, split_attention::HEADS, true)
+    }
+
+    fn attend(
+        &mut self,
+        inputs: [Var; 2],
+        visible: &VisibleLists,
+        heads: usize,
+        parts: bool,
+    ) -> Var {
+        let [count, width] = self.size(inputs[0]);
+        assert_eq!((count, 2 * width), (visible.queries(), self.size(inputs[1])[1]), "sizes");
         let shape = AttentionShape { width, heads };
-        let (lists, kept) = self.tape.lists.next();
-        kept.copy_from(visible);
+        let lists = self.tape.keep_lists(visible);
         let pairs = visible.pairs() * heads;
-        let weights = self.tape.reserve(pairs);
-        let operation =
-            Operation::Attend { queries, keys_values, lists, weights: weights as u32, shape };
-        let needs = self.tape.needs(queries) || self.tape.needs(keys_values);
-        let y = self.tape.push(operation, count, width, needs);
-        let ranges = [queries, keys_values].map(|var| self.tape.of(var).range());
-        // The weights stand between the inputs and the result.
-        let range = self.tape.of(y).range();
-        let (before, rest) = self.tape.values.split_at_mut(weights);
-        let (weights, rest) = rest.split_at_mut(range.start - weights);
-        let [queries, keys_values] = ranges.map(|range| &before[range]);
-        let out = &mut rest[..count * width];
-        let weights = &mut weights[..pairs];
-        if split_attention::is_built_for(width, heads) {
-            let pass = split_attention::Forward {
-                queries,
-                keys_values,
-                weights,
-                shares: &mut [],
-                output: out,
-            };
-            split_attention::forward(width, visible, pass);
-        } else {
-            attention::forward(shape, visible, queries, keys_values, weights, out);
-        }
-        y
+        let (blocks, shares) = if parts { (BLOCKS, count * heads) } else { (1, 0) };
+        let operation = |weights| Operation::Attend { inputs, lists, weights, shape, parts };
+        let size = [blocks * count, width];
+        self.keep(pairs + shares, operation, inputs, size, |inputs, kept, output| {
+            let ([queries, keys_values], (weights, shares)) = (inputs, kept.split_at_mut(pairs));
+            if parts || split_attention::is_built_for(width, heads) {
+                let pass =
+                    split_attention::Forward { queries, keys_values, weights, shares, output };
+                split_attention::forward(width, visible, pass);
+            } else {
+                attention::forward(shape, visible, queries, keys_values, weights, output);
+            }
+        })
     }
 
     /// `[pairs, heads]`: the weights of what each query sees, list behind list, of a matrix that is
@@ -195,12 +189,12 @@ impl Pass<'_> {
     ) -> Var {
         let [count, width] = self.size(queries);
         assert_eq!((count, 2 * width), (visible.queries(), self.size(keys_values)[1]), "sizes");
-        let shape = AttentionShape { width, heads };
-        let (lists, kept) = self.tape.lists.next();
-        kept.copy_from(visible);
-        let operation = Operation::SquaredScores { queries, keys_values, lists, shape };
-        self.join(operation, [queries, keys_values], [count, 1], |queries, keys_values, y| {
-            attention_scores::forward(shape, visible, queries, keys_values, y);
+        let (shape, inputs) = (AttentionShape { width, heads }, [queries, keys_values]);
+        let lists = self.tape.keep_lists(visible);
+        let operation = |scores| Operation::SquaredScores { inputs, lists, scores, shape };
+        let pairs = visible.pairs() * heads;
+        self.keep(pairs, operation, inputs, [count, 1], |[queries, keys_values], scores, y| {
+            attention::squared_scores(shape, visible, queries, keys_values, scores, y);
         })
     }
 

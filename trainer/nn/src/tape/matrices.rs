@@ -3,10 +3,8 @@
 //! Matrices that stand behind each other without anything between them are one, whose parameters are a product:
 //! see [`product`](Pass::product).
 
-use std::mem;
 use std::ops::Range;
 
-use super::backward::sized;
 use super::{Linear, Operation, Pass, Tape, Var};
 use crate::layers::absorbed_attention::AbsorbedBackward;
 use crate::layers::attention::AttentionShape;
@@ -99,13 +97,11 @@ impl Pass<'_> {
     ) -> Var {
         let [count, width] = self.size(queries);
         assert_eq!((count, width), (visible.queries(), self.size(entities)[1]), "sizes");
-        let (lists, kept) = self.tape.lists.next();
-        kept.copy_from(visible);
+        let (lists, inputs) = (self.tape.keep_lists(visible), [queries, entities]);
         let (pass, _) = self.tape.absorbed.next();
-        let operation =
-            Operation::Absorb { queries, entities, keys_values, lists, pass, heads: heads as u32 };
+        let operation = Operation::Absorb { inputs, keys_values, lists, pass, heads: heads as u32 };
         let y = self.tape.push(operation, count, width, true);
-        let ranges = [queries, entities].map(|var| self.tape.of(var).range());
+        let ranges = inputs.map(|var| self.tape.of(var).range());
         let out = self.tape.of(y).range();
         let (before, rest) = self.tape.values.split_at_mut(out.start);
         let [queries, entities] = ranges.map(|range| &before[range]);
@@ -123,39 +119,23 @@ impl Pass<'_> {
     /// sum of the rows themselves. Queries, keys and rows are `[.., width]`.
     pub fn team_attention(
         &mut self,
-        [queries, keys, rows]: [Var; 3],
+        inputs: [Var; 3],
         teams: &TeamLists,
         sums: Sums,
         heads: usize,
     ) -> Var {
-        let [count, width] = self.size(queries);
-        assert_eq!((count, self.size(keys)), (teams.queries(), self.size(rows)), "sizes");
+        let [[count, width], keys, rows] = inputs.map(|var| self.size(var));
+        assert_eq!((count, keys), (teams.queries(), rows), "sizes");
         let (lists, kept) = self.tape.teams.next();
         kept.copy_from(teams);
-        let pairs = teams.pairs() * heads;
-        let place = self.tape.reserve(pairs);
-        let (weights, own_heads) = (place as u32, heads as u32);
-        let operation = Operation::AttendInTeams {
-            queries,
-            keys,
-            rows,
-            lists,
-            weights,
-            heads: own_heads,
-            sums,
-        };
-        let needs = [queries, keys, rows].into_iter().any(|var| self.tape.needs(var));
-        let y = self.tape.push(operation, sums.count(teams), heads * width, needs);
-        let ranges = [queries, keys, rows].map(|var| self.tape.of(var).range());
-        // The weights stand between the inputs and the result.
-        let out = self.tape.of(y).range();
-        let (before, rest) = self.tape.values.split_at_mut(place);
-        let (weights, rest) = rest.split_at_mut(out.start - place);
-        let [queries, keys, rows] = ranges.map(|range| &before[range]);
-        let (weights, sums_of_rows) = (&mut weights[..pairs], &mut rest[..out.len()]);
-        let pass = team_attention::Forward { queries, keys, rows, weights, sums: sums_of_rows };
-        team_attention::forward(AttentionShape { width, heads }, teams, sums, pass);
-        y
+        let (own_heads, size) = (heads as u32, [sums.count(teams), heads * width]);
+        let operation =
+            |weights| Operation::AttendInTeams { inputs, lists, weights, heads: own_heads, sums };
+        self.keep(teams.pairs() * heads, operation, inputs, size, |inputs, weights, out| {
+            let [queries, keys, rows] = inputs;
+            let pass = team_attention::Forward { queries, keys, rows, weights, sums: out };
+            team_attention::forward(AttentionShape { width, heads }, teams, sums, pass);
+        })
     }
 
     /// Floating-point operations of this pass up to now, those of products and attention; with those of its way
@@ -188,7 +168,7 @@ impl Tape {
                 return (self.sparse.things[rows as usize].entries() * columns, 1);
             }
             Operation::Product { a, .. } => rows * columns * self.columns(a),
-            Operation::Attend { lists, .. } => {
+            Operation::Attend { lists, parts: false, .. } => {
                 2 * self.lists.things[lists as usize].pairs() * columns
             }
             Operation::Absorb { lists, heads, .. } => {
@@ -229,63 +209,54 @@ impl Tape {
 
     pub(super) fn descend_absorbed(
         &mut self,
-        [queries, entities]: [Var; 2],
+        inputs: [Var; 2],
         (keys_values, d_keys_values): (&[f32], &mut [f32]),
         [lists, pass, heads]: [usize; 3],
         own: Range<usize>,
     ) {
-        let width = self.columns(queries);
-        let ranges = [queries, entities].map(|var| self.of(var).range());
-        let mut scratch = mem::take(&mut self.scratch);
-        let space = sized(&mut scratch, ranges.iter().map(Range::len).sum());
-        let (d_queries, d_entities) = space.split_at_mut(ranges[0].len());
-        let [q, x] = ranges.map(|range| &self.values[range]);
-        let slopes = AbsorbedBackward {
-            queries: q,
-            entities: x,
-            d_output: &self.slopes[own],
-            d_queries: &mut *d_queries,
-            d_entities: &mut *d_entities,
-            d_keys_values,
-        };
-        let (shape, visible) = (AttentionShape { width, heads }, &self.lists.things[lists]);
-        self.absorbed.things[pass].backward(shape, visible, keys_values, slopes);
-        self.keep(entities, d_entities);
-        self.keep(queries, d_queries);
-        self.scratch = scratch;
+        let shape = AttentionShape { width: self.columns(inputs[0]), heads };
+        let ranges = inputs.map(|var| self.of(var).range());
+        self.descend_into(inputs, 0, own, |tape, d_output, [d_queries, d_entities], _| {
+            let [queries, entities] = ranges.map(|range| &tape.values[range]);
+            let slopes = AbsorbedBackward {
+                queries,
+                entities,
+                d_output,
+                d_queries,
+                d_entities,
+                d_keys_values,
+            };
+            let visible = &tape.lists.things[lists];
+            tape.absorbed.things[pass].backward(shape, visible, keys_values, slopes);
+        });
     }
 
     pub(super) fn descend_teams(
         &mut self,
-        [queries, keys, rows]: [Var; 3],
+        inputs: [Var; 3],
         [lists, weights, heads]: [usize; 3],
         sums: Sums,
         own: Range<usize>,
     ) {
-        let teams = &self.teams.things[lists];
-        let width = self.columns(queries);
-        let ranges = [queries, keys, rows].map(|var| self.of(var).range());
-        let mut scratch = mem::take(&mut self.scratch);
-        let space = sized(&mut scratch, ranges.iter().map(Range::len).sum());
-        let (d_queries, space) = space.split_at_mut(ranges[0].len());
-        let (d_keys, d_rows) = space.split_at_mut(ranges[1].len());
-        // Queries of teams that see nothing are not written.
-        d_queries.fill(0.0);
-        let [q, k, x] = ranges.map(|range| &self.values[range]);
-        let pass = team_attention::Backward {
-            queries: q,
-            keys: k,
-            rows: x,
-            weights: &self.values[weights..][..teams.pairs() * heads],
-            d_sums: &self.slopes[own],
-            d_queries: &mut *d_queries,
-            d_keys: &mut *d_keys,
-            d_rows: &mut *d_rows,
-        };
-        team_attention::backward(AttentionShape { width, heads }, teams, sums, pass);
-        self.keep(rows, d_rows);
-        self.keep(keys, d_keys);
-        self.keep(queries, d_queries);
-        self.scratch = scratch;
+        let shape = AttentionShape { width: self.columns(inputs[0]), heads };
+        let ranges = inputs.map(|var| self.of(var).range());
+        self.descend_into(inputs, 0, own, |tape, d_sums, [d_queries, d_keys, d_rows], _| {
+            let teams = &tape.teams.things[lists];
+            // Queries of teams that see nothing are not written.
+            d_queries.fill(0.0);
+            let [queries, keys, rows] = ranges.map(|range| &tape.values[range]);
+            let weights = &tape.values[weights..][..teams.pairs() * heads];
+            let pass = team_attention::Backward {
+                queries,
+                keys,
+                rows,
+                weights,
+                d_sums,
+                d_queries,
+                d_keys,
+                d_rows,
+            };
+            team_attention::backward(shape, teams, sums, pass);
+        });
     }
 }

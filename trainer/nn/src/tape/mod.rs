@@ -7,13 +7,13 @@
 //! A network, its loss and an update:
 //!
 //! ```
-//! # use sortie_nn::{optimise::Adam, random::stream, tape::{Parameters, Tape}};
+//! # use sortie_nn::{optimise::{Adam, AdamRules}, random::stream, tape::{Parameters, Tape}};
 //! # let rows = 30;
 //! # let (seen, actions, targets) = (vec![0.5; rows * 6], vec![1; rows], vec![0.25; rows]);
 //! let mut parameters = Parameters::default();
 //! let mut random = stream(1, 1, 0);
 //! let (hidden, head) = (parameters.linear("hidden", 6, 32, &mut random), parameters.linear("head", 32, 4, &mut random));
-//! let mut adam = Adam::new(parameters.values.len(), 1e-5);
+//! let mut adam = Adam::new(parameters.values.len());
 //! let mut gradient = vec![0.0; parameters.values.len()];
 //! let mut tape = Tape::default();
 //! let mut pass = tape.begin(&parameters.values);
@@ -23,7 +23,8 @@
 //! let chosen = pass.pick(utilities, &actions);
 //! let loss = pass.squared_error(chosen, &targets, 1.0 / rows as f32);
 //! pass.backward(loss, &mut gradient);
-//! adam.step(&mut [&mut parameters.values], &gradient, 1e-3);
+//! let rules = AdamRules { epsilon: 1e-5, ..AdamRules::default() };
+//! adam.step(rules, &mut parameters.values, &gradient, 1e-3);
 //! # assert!(gradient.iter().any(|slope| *slope != 0.0));
 //! ```
 
@@ -32,6 +33,7 @@ mod groups;
 mod layers;
 mod matrices;
 mod parameters;
+mod slopes;
 mod steps;
 
 use std::fmt;
@@ -52,25 +54,6 @@ pub use parameters::{Gru, Linear, Norm, Parameters, Places, Tensor};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Var(u32);
 
-/// A pass that is written by hand and is one step of a tape.
-///
-/// It may keep what its backward pass needs. A tape that has it calls it once a pass.
-pub trait Custom: Send {
-    /// Writes the output `y` from the input `x`.
-    fn forward(&mut self, parameters: &[f32], x: &[f32], y: &mut [f32]);
-
-    /// Adds to `gradient` that of all parameters, and writes the slopes `d_x` by the input, from the slopes `d_y`
-    /// by the output of the last forward pass.
-    fn backward(
-        &mut self,
-        parameters: &[f32],
-        x: &[f32],
-        d_y: &[f32],
-        d_x: &mut [f32],
-        gradient: &mut [f32],
-    );
-}
-
 /// What was computed, in its order, and the memory for it. One for every lane of a trainer.
 #[derive(Default)]
 pub struct Tape {
@@ -86,7 +69,6 @@ pub struct Tape {
     absorbed: Pool<AbsorbedAttention>,
     carry: Vec<bool>,
     scratch: Vec<f32>,
-    customs: Vec<Box<dyn Custom>>,
 }
 
 impl fmt::Debug for Tape {
@@ -135,12 +117,6 @@ impl Node {
 }
 
 impl Tape {
-    /// Adds a pass that is written by hand, for [`Pass::custom`] under the number that this returns.
-    pub fn add_custom(&mut self, custom: Box<dyn Custom>) -> usize {
-        self.customs.push(custom);
-        self.customs.len() - 1
-    }
-
     /// Begins a pass of a network with these parameters; the pass before is forgotten.
     pub fn begin<'a>(&'a mut self, parameters: &'a [f32]) -> Pass<'a> {
         self.nodes.clear();
@@ -239,6 +215,13 @@ impl Tape {
         Some((range, store))
     }
 
+    /// A copy of these lists for the way back; its place in the pool.
+    fn keep_lists(&mut self, lists: &VisibleLists) -> u32 {
+        let (place, kept) = self.lists.next();
+        kept.copy_from(lists);
+        place
+    }
+
     fn store_indices(&mut self, indices: impl IntoIterator<Item = u32>) -> (u32, u32) {
         let start = self.indices.len() as u32;
         self.indices.extend(indices);
@@ -305,26 +288,20 @@ enum Operation {
     LogSoftmax {
         x: Var,
     },
-    Normalise {
-        x: Var,
-    },
-    /// Columns times and plus parameters.
-    Affine {
-        x: Var,
-        layer: Norm,
-    },
-    /// `weights` is where the attention weights begin in the arena.
+    /// Of queries, and of keys and values. `weights` is where the attention weights begin in the arena, behind which the
+    /// shares of the parts stand if there are any.
     Attend {
-        queries: Var,
-        keys_values: Var,
+        inputs: [Var; 2],
         lists: u32,
         weights: u32,
         shape: AttentionShape,
+        parts: bool,
     },
+    /// Of the same; `scores` is where they begin in the arena.
     SquaredScores {
-        queries: Var,
-        keys_values: Var,
+        inputs: [Var; 2],
         lists: u32,
+        scores: u32,
         shape: AttentionShape,
     },
     /// `carry` is where it begins in the tape's.
@@ -399,23 +376,11 @@ enum Operation {
         factor: f32,
         bound: f32,
     },
-    Custom {
-        x: Var,
-        number: u32,
-    },
     /// Row i belongs to group `indices[i]`.
     SoftmaxGroups {
         x: Var,
         indices: Indices,
         groups: u32,
-    },
-    /// `weights` and `shares` are where they begin in the arena.
-    AttendSplit {
-        queries: Var,
-        keys_values: Var,
-        lists: u32,
-        weights: u32,
-        shares: u32,
     },
     /// A matrix of parameters; where it begins.
     Parameter {
@@ -430,20 +395,17 @@ enum Operation {
     Absolute {
         x: Var,
     },
-    /// As `Attend`, with the matrix of keys and values in the place of their rows.
+    /// Of queries and entities, with the matrix of keys and values.
     Absorb {
-        queries: Var,
-        entities: Var,
+        inputs: [Var; 2],
         keys_values: Linear,
         lists: u32,
         pass: u32,
         heads: u32,
     },
-    /// `weights` is where the attention weights begin in the arena.
+    /// Of queries, keys and rows. `weights` is where the attention weights begin in the arena.
     AttendInTeams {
-        queries: Var,
-        keys: Var,
-        rows: Var,
+        inputs: [Var; 3],
         lists: u32,
         weights: u32,
         heads: u32,

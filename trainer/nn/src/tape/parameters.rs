@@ -4,7 +4,6 @@ use std::ops::Range;
 
 use crate::layers::gru;
 use crate::layers::linear::LinearShape;
-use crate::layers::unfold::UnfoldShape;
 use crate::random::{Generator, normals, signed_unit};
 
 /// One tensor of a vector of parameters.
@@ -128,17 +127,6 @@ impl Parameters {
         Linear { shape: LinearShape { input, output }, weight, bias: None }
     }
 
-    /// Adds a convolution over pictures; its kernels lie as the patches do.
-    pub fn convolution(
-        &mut self,
-        name: &str,
-        shape: UnfoldShape,
-        output: usize,
-        random: &mut Generator,
-    ) -> Linear {
-        self.linear(name, shape.patch(), output, random)
-    }
-
     /// Adds a linear layer of orthogonal weights (Saxe et al. 2014): the rows, or the columns where these are fewer, are
     /// of length 1 and at right angles. Offsets are 0.
     pub fn orthogonal(
@@ -160,19 +148,29 @@ impl Parameters {
         Linear { shape: LinearShape { input, output }, weight, bias }
     }
 
-    /// Adds a recurrent unit, drawn as PyTorch does.
+    /// Adds a recurrent unit, drawn as PyTorch does, with PyTorch's names.
     pub fn gru(&mut self, name: &str, width: usize, random: &mut Generator) -> Gru {
+        self.gru_of(name, ["weight_ih", "weight_hh", "bias_ih", "bias_hh"], width, random)
+    }
+
+    /// The same under other names of its tensors.
+    pub fn gru_of(
+        &mut self,
+        name: &str,
+        tensors: [&str; 4],
+        width: usize,
+        random: &mut Generator,
+    ) -> Gru {
         let (start, bound) = (self.values.len(), 1.0 / (width as f32).sqrt());
-        let names = ["weight_ih", "weight_hh", "bias_ih", "bias_hh"];
-        for (tensor, length) in names.into_iter().zip(gru::lengths(width)) {
+        for (tensor, length) in tensors.into_iter().zip(gru::lengths(width)) {
             let shape = [3 * width, length / (3 * width)];
-            let shape = if shape[1] == 1 { &shape[..1] } else { &shape[..] };
+            let shape = if tensor.contains("bias") { &shape[..1] } else { &shape[..] };
             self.tensor(&format!("{name}.{tensor}"), shape, bound, random);
         }
         Gru { width, start }
     }
 
-    /// Adds factors of 1 and offsets of 0 for layer normalisation.
+    /// Adds factors of 1 and offsets of 0, which change nothing.
     pub fn norm(&mut self, name: &str, width: usize) -> Norm {
         let start = self.add(&format!("{name}.weight"), &[width], || 1.0);
         self.add(&format!("{name}.bias"), &[width], || 0.0);

@@ -56,47 +56,44 @@ impl Pass<'_> {
         self.tape.node(Operation::Given, size, at, Some(node.base), node.needs_slopes)
     }
 
-    /// A pass that is written by hand, added with [`Tape::add_custom`](super::Tape::add_custom).
-    pub fn custom(&mut self, number: usize, x: Var, [rows, columns]: [usize; 2]) -> Var {
-        let operation = Operation::Custom { x, number: number as u32 };
-        let y = self.tape.push(operation, rows, columns, true);
-        let (range, out) = (self.tape.of(x).range(), self.tape.of(y).range());
-        let (before, rest) = self.tape.values.split_at_mut(out.start);
-        let out = &mut rest[..out.len()];
-        self.tape.customs[number].forward(self.parameters, &before[range], out);
-        y
-    }
-
     /// A step from one matrix.
     pub(super) fn step(
         &mut self,
         operation: Operation,
         x: Var,
-        [rows, columns]: [usize; 2],
+        size: [usize; 2],
         compute: impl FnOnce(&[f32], &mut [f32]),
     ) -> Var {
-        let needs = self.tape.needs(x);
-        let y = self.tape.push(operation, rows, columns, needs);
-        let range = self.tape.of(x).range();
-        let (before, out) = self.tape.split(y);
-        compute(&before[range], out);
-        y
+        self.keep(0, |_| operation, [x], size, |[x], _, y| compute(x, y))
     }
 
     /// A step from two matrices.
     pub(super) fn join(
         &mut self,
         operation: Operation,
-        [a, b]: [Var; 2],
-        [rows, columns]: [usize; 2],
+        inputs: [Var; 2],
+        size: [usize; 2],
         compute: impl FnOnce(&[f32], &[f32], &mut [f32]),
     ) -> Var {
-        let needs = self.tape.needs(a) || self.tape.needs(b);
-        let y = self.tape.push(operation, rows, columns, needs);
-        let ranges = [a, b].map(|var| self.tape.of(var).range());
-        let (before, out) = self.tape.split(y);
-        let [a, b] = ranges.map(|range| &before[range]);
-        compute(a, b, out);
+        self.keep(0, |_| operation, inputs, size, |[a, b], _, y| compute(a, b, y))
+    }
+
+    /// A step that keeps so many numbers for its way back, besides its result; the operation is told where they begin.
+    pub(super) fn keep<const N: usize>(
+        &mut self,
+        numbers: usize,
+        operation: impl FnOnce(u32) -> Operation,
+        inputs: [Var; N],
+        [rows, columns]: [usize; 2],
+        compute: impl FnOnce([&[f32]; N], &mut [f32], &mut [f32]),
+    ) -> Var {
+        let needs = inputs.iter().any(|x| self.tape.needs(*x));
+        let start = self.tape.reserve(numbers);
+        let y = self.tape.push(operation(start as u32), rows, columns, needs);
+        let (ranges, out) = (inputs.map(|x| self.tape.of(x).range()), self.tape.of(y).range());
+        let (before, rest) = self.tape.values.split_at_mut(start);
+        let (kept, rest) = rest.split_at_mut(numbers);
+        compute(ranges.map(|range| &before[range]), kept, &mut rest[..out.len()]);
         y
     }
 
@@ -295,13 +292,6 @@ impl Pass<'_> {
                 *y = x.iter().sum();
             }
         })
-    }
-
-    /// The mean of every row.
-    pub fn mean_columns(&mut self, x: Var) -> Var {
-        let columns = self.size(x)[1];
-        let sum = self.sum_columns(x);
-        self.scale(sum, 1.0 / columns as f32)
     }
 
     /// The number of one column of every row, such as the utility of the action that was chosen.

@@ -24,7 +24,7 @@ use crate::environment;
 use crate::failure::{Exit, Failure};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::subject::{self, Subject, SubjectAllocator};
-use crate::views::captured::Diary;
+use crate::views::captured::noted;
 use crate::views::page::{Deeds, FORMAT, Web, html, script, style};
 use crate::views::{Page, Wanted};
 use capture::{Captured, capture, open_recording, play_again};
@@ -201,10 +201,11 @@ fn think(
     let agents: Box<dyn Agents + '_> = match subject {
         Some(Subject::Bundle(bundle)) => {
             let mut deployed = DeployedPolicy::open(bundle, Backend::Plan)?;
-            let mut diary = Diary::new(bundle, deployed.policy()?)?;
-            let agents = Box::new(PolicyAgents::new(&mut diary));
+            let mut thoughts = Vec::new();
+            let policy = noted(bundle, deployed.policy()?, &mut thoughts)?;
+            let agents = Box::new(PolicyAgents::new(policy));
             let mut captured = watch(AllocatedTeam::new(agents, allocator, interval))?;
-            captured.give_thoughts(diary.thoughts);
+            captured.give_thoughts(thoughts);
             return Ok(captured);
         }
         Some(Subject::Run(run)) => {

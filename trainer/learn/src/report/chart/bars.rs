@@ -19,8 +19,9 @@ const GAP: i32 = 14;
 /// Height of a line of the legend, and pixels from a key to its label.
 const LEGEND_STEP: i32 = 34;
 const KEY: i32 = 26;
-/// Height of the strip with the axis and the caption.
-const AXIS_HEIGHT: i32 = 116;
+/// Heights of the strips with the axis, and with the caption.
+const AXIS_HEIGHT: i32 = 70;
+const CAPTION_HEIGHT: i32 = 46;
 const CAPTION: &str = "Bars: mean of the runs. Thin lines: from the worst run to the best.";
 
 /// A number of each label in each group.
@@ -32,8 +33,8 @@ pub struct Bars<'a> {
     pub labels: Vec<&'a str>,
     /// Group by group.
     pub bars: Vec<Bar<'a>>,
-    /// What it is drawn against.
-    pub axis: Axis,
+    /// Where its axis begins and ends.
+    pub ends: [f64; 2],
 }
 
 /// The number of one label in one group.
@@ -47,52 +48,11 @@ pub struct Bar<'a> {
     pub spread: Spread,
 }
 
-/// Where an axis begins, how far apart its marks are and how many steps it has.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Axis {
-    first: f64,
-    step: f64,
-    steps: u32,
-}
-
-impl Axis {
-    /// That of shares.
-    pub const SHARE: Self = Self { first: 0.0, step: 0.2, steps: 5 };
-    /// Most steps.
-    const STEPS: f64 = 8.0;
-
-    /// One that has room for zero and for these.
-    pub fn of<'a>(spreads: impl Iterator<Item = &'a Spread>) -> Self {
-        let (least, most) = spreads.fold((0.0_f64, 0.0_f64), |(least, most), spread| {
-            (least.min(spread.min), most.max(spread.max))
-        });
-        let span = most - least;
-        if span == 0.0 {
-            return Self { first: 0.0, step: 1.0, steps: 1 };
-        }
-        let power = 10.0_f64.powf((span / Self::STEPS).log10().floor());
-        let fits = |step: &f64| span / step <= Self::STEPS - 2.0;
-        let step = [1.0, 2.0, 5.0, 10.0].map(|part| part * power).into_iter().find(fits);
-        let step = step.unwrap_or(20.0 * power);
-        let first = (least / step).floor();
-        let last = (most / step).ceil();
-        Self { first: first * step, step, steps: (last - first).max(1.0) as u32 }
-    }
-
-    fn mark(&self, number: u32) -> f64 {
-        self.first + f64::from(number) * self.step
-    }
-
-    fn text(&self, number: u32) -> String {
-        let digits = (-self.step.log10().floor()).max(0.0) as usize;
-        // Minus zero reads oddly.
-        format!("{:.digits$}", self.mark(number) + 0.0)
-    }
-
-    /// Where a number stands, as a share of the axis.
-    fn share(&self, number: f64) -> f64 {
-        (number - self.first) / (f64::from(self.steps) * self.step)
-    }
+/// The ends of an axis that has room for zero and for these.
+pub fn ends<'a>(spreads: impl Iterator<Item = &'a Spread>) -> [f64; 2] {
+    let [least, most] = spreads
+        .fold([0.0_f64; 2], |[least, most], spread| [least.min(spread.min), most.max(spread.max)]);
+    if least < most { [least, most] } else { [0.0, 1.0] }
 }
 
 /// Draws success by team, with the range of the seeds as a thin line; none where no label has a final evaluation.
@@ -106,117 +66,91 @@ pub fn teams<'a>(title: &str, comparison: &'a Comparison) -> Result<Option<Strin
         Some(Bar { group: &team.team, label, spread: team.success })
     };
     let bars: Vec<Bar<'a>> = comparison.teams.iter().filter_map(bar).collect();
-    let bars = Bars { about: "share of solved episodes", labels, bars, axis: Axis::SHARE };
+    let bars = Bars { about: "share of solved episodes", labels, bars, ends: [0.0, 1.0] };
     draw_bars(title, &bars).map(Some)
 }
 
 /// Draws a bar per group and label, with the range of the seeds as a thin line.
 pub fn draw_bars(title: &str, bars: &Bars<'_>) -> Result<String, LearnError> {
-    let layout = Layout::new(bars);
-    let height = (layout.bottom() + AXIS_HEIGHT) as u32;
-    picture(height, title, |canvas| draw(canvas, bars, &layout))
+    let has_bars = |label: usize| bars.bars.iter().any(|bar| bar.label == label);
+    let labels = bars.labels.iter().copied().enumerate();
+    let labels: Vec<(usize, &str)> = labels.filter(|(label, _)| has_bars(*label)).collect();
+    let mut groups: Vec<&str> = bars.bars.iter().map(|bar| bar.group).collect();
+    groups.dedup();
+    let keys = keys(&labels);
+    let top = keys.last().map_or(TITLE_HEIGHT, |(_, middle)| middle + LEGEND_STEP);
+    let rows = groups.len() as i32 * (labels.len() as i32 * BAR + GAP);
+    let bottom = top + rows + AXIS_HEIGHT;
+    picture((bottom + CAPTION_HEIGHT) as u32, title, |canvas| {
+        draw_legend(canvas, &keys, &labels)?;
+        let (_, below) = canvas.split_vertically(top);
+        let (plot, caption) = below.split_vertically(rows + AXIS_HEIGHT);
+        draw_plot(&plot, bars, &groups, &labels, rows.into())?;
+        let place = (MARGIN, CAPTION_HEIGHT - 26);
+        text(&caption, CAPTION, place, LABEL_SIZE - 4, FAINT_INK, HPos::Left)
+    })
 }
 
-/// Where things stand, in pixels.
-struct Layout<'a> {
-    axis: Axis,
-    /// Labels with their place in the order of all, which is that of their colour.
-    labels: Vec<(usize, &'a str)>,
-    /// The place of each label in the legend.
-    keys: Vec<(i32, i32)>,
-    groups: Vec<&'a str>,
-    left: i32,
-    top: i32,
-}
-
-impl<'a> Layout<'a> {
-    fn new(bars: &Bars<'a>) -> Self {
-        let has_bars = |label: usize| bars.bars.iter().any(|bar| bar.label == label);
-        let labels = bars.labels.iter().copied().enumerate();
-        let mut groups: Vec<&str> = bars.bars.iter().map(|bar| bar.group).collect();
-        groups.dedup();
-        let widest = groups.iter().map(|group| text_width(group, LABEL_SIZE)).max().unwrap_or(0);
-        let labels: Vec<(usize, &str)> = labels.filter(|(label, _)| has_bars(*label)).collect();
-        let keys = keys(&labels);
-        let top = keys.last().map_or(TITLE_HEIGHT, |(_, middle)| middle + LEGEND_STEP);
-        let left = MARGIN + 34 + widest.min(GROUP_ROOM);
-        Self { axis: bars.axis, labels, keys, groups, left, top }
-    }
-
-    fn group_height(&self) -> i32 {
-        self.labels.len() as i32 * BAR + GAP
-    }
-
-    fn group_top(&self, group: usize) -> i32 {
-        self.top + GAP / 2 + group as i32 * self.group_height()
-    }
-
-    fn bottom(&self) -> i32 {
-        self.top + self.groups.len() as i32 * self.group_height()
-    }
-
-    fn x(&self, number: f64) -> i32 {
-        let right = WIDTH as i32 - MARGIN - 16;
-        let share = self.axis.share(number);
-        self.left + (share * f64::from(right - self.left)).round() as i32
-    }
-}
-
-fn draw(canvas: &Canvas<'_>, bars: &Bars<'_>, layout: &Layout<'_>) -> Drawn {
-    draw_axis(canvas, bars.about, layout)?;
-    draw_legend(canvas, layout)?;
-    for (row, group) in layout.groups.iter().enumerate() {
-        let top = layout.group_top(row);
-        let middle = top + layout.labels.len() as i32 * BAR / 2;
-        let size = fitting(group, LABEL_SIZE, GROUP_ROOM);
-        text(canvas, group, (layout.left - 14, middle), size, INK, HPos::Right)?;
-        for (place, (label, _)) in layout.labels.iter().enumerate() {
+/// Draws the bars over so many pixels, by which they are placed downwards.
+fn draw_plot(
+    plot: &Canvas<'_>,
+    bars: &Bars<'_>,
+    groups: &[&str],
+    labels: &[(usize, &str)],
+    rows: f64,
+) -> Drawn {
+    let [low, high] = bars.ends;
+    let places = (1.0 - (high - low).log10().floor()).max(0.0) as usize;
+    let widest = groups.iter().map(|group| text_width(group, LABEL_SIZE)).max().unwrap_or(0);
+    let mut chart = ChartBuilder::on(plot)
+        .margin_left(MARGIN)
+        .margin_right(MARGIN + 16)
+        .x_label_area_size(AXIS_HEIGHT)
+        .y_label_area_size(34 + widest.min(GROUP_ROOM))
+        .build_cartesian_2d(low..high, rows..0.0)?;
+    chart
+        .configure_mesh()
+        .axis_style(GRID)
+        .disable_y_mesh()
+        .bold_line_style(GRID)
+        .light_line_style(TRANSPARENT)
+        .x_desc(bars.about)
+        .x_labels(9)
+        .y_labels(0)
+        .x_label_formatter(&|x| format!("{x:.places$}"))
+        .label_style(("sans-serif", LABEL_SIZE, &INK))
+        .axis_desc_style(("sans-serif", LABEL_SIZE + 2, &INK))
+        .draw()?;
+    let height = rows / groups.len() as f64;
+    for (row, group) in groups.iter().enumerate() {
+        let top = row as f64 * height + f64::from(GAP / 2);
+        for (place, (label, _)) in labels.iter().enumerate() {
             let is_meant = |bar: &&Bar<'_>| bar.group == *group && bar.label == *label;
-            if let Some(bar) = bars.bars.iter().find(is_meant) {
-                draw_bar(canvas, layout, top + place as i32 * BAR, bar)?;
-            }
+            let Some(bar) = bars.bars.iter().find(is_meant) else { continue };
+            let Spread { mean, min, max, .. } = bar.spread;
+            let top = top + (place as i32 * BAR) as f64;
+            let corners = [(0.0, top), (mean, top + f64::from(BAR - 2))];
+            chart.draw_series([Rectangle::new(corners, colour(*label).filled())])?;
+            let middle = top + f64::from(BAR / 2 - 1);
+            let range = (min < max).then_some([(min, middle), (max, middle)]);
+            let line = |range| PathElement::new(range, INK.stroke_width(2));
+            chart.draw_series(range.map(line))?;
         }
+        let (left, middle) = chart.backend_coord(&(low, (row as f64 + 0.5) * height));
+        let (size, above) = (fitting(group, LABEL_SIZE, GROUP_ROOM), plot.get_base_pixel().1);
+        text(plot, group, (left - 14, middle - above), size, INK, HPos::Right)?;
     }
-    let base = [(layout.x(0.0), layout.top), (layout.x(0.0), layout.bottom())];
-    canvas.draw(&PathElement::new(base, FAINT_INK.stroke_width(2)))
-}
-
-fn draw_bar(canvas: &Canvas<'_>, layout: &Layout<'_>, top: i32, bar: &Bar<'_>) -> Drawn {
-    let Spread { mean, min, max, .. } = bar.spread;
-    let [one, other] = [layout.x(0.0), layout.x(mean)];
-    let corners = [(one.min(other), top), (one.max(other), top + BAR - 2)];
-    canvas.draw(&Rectangle::new(corners, colour(bar.label).filled()))?;
-    if min < max {
-        let middle = top + BAR / 2 - 1;
-        let range = [(layout.x(min), middle), (layout.x(max), middle)];
-        canvas.draw(&PathElement::new(range, INK.stroke_width(2)))?;
-    }
+    let base = PathElement::new([(0.0, 0.0), (0.0, rows)], FAINT_INK.stroke_width(2));
+    chart.draw_series([base])?;
     Ok(())
 }
 
-fn draw_axis(canvas: &Canvas<'_>, about: &str, layout: &Layout<'_>) -> Drawn {
-    let axis = &layout.axis;
-    for mark in 0..=axis.steps {
-        let x = layout.x(axis.mark(mark));
-        let line = [(x, layout.top), (x, layout.bottom())];
-        canvas.draw(&PathElement::new(line, GRID.stroke_width(1)))?;
-        let place = (x, layout.bottom() + 18);
-        text(canvas, &axis.text(mark), place, LABEL_SIZE, INK, HPos::Center)?;
-    }
-    let middle = (layout.x(axis.mark(0)) + layout.x(axis.mark(axis.steps))) / 2;
-    let place = (middle, layout.bottom() + 54);
-    text(canvas, about, place, LABEL_SIZE + 2, INK, HPos::Center)?;
-    let place = (MARGIN, layout.bottom() + AXIS_HEIGHT - 26);
-    text(canvas, CAPTION, place, LABEL_SIZE - 4, FAINT_INK, HPos::Left)
-}
-
-fn draw_legend(canvas: &Canvas<'_>, layout: &Layout<'_>) -> Drawn {
-    for (key, (index, label)) in layout.keys.iter().zip(&layout.labels) {
-        let (left, middle) = *key;
-        let corners = [(left, middle - 8), (left + 16, middle + 8)];
+fn draw_legend(canvas: &Canvas<'_>, keys: &[(i32, i32)], labels: &[(usize, &str)]) -> Drawn {
+    for ((left, middle), (index, label)) in keys.iter().zip(labels) {
+        let corners = [(*left, middle - 8), (left + 16, middle + 8)];
         canvas.draw(&Rectangle::new(corners, colour(*index).filled()))?;
         let size = fitting(label, LABEL_SIZE, WIDTH as i32 - 2 * MARGIN - KEY);
-        text(canvas, label, (left + KEY, middle), size, INK, HPos::Left)?;
+        text(canvas, label, (left + KEY, *middle), size, INK, HPos::Left)?;
     }
     Ok(())
 }
@@ -265,34 +199,36 @@ mod tests {
     }
 
     #[test]
-    fn an_axis_has_room_for_zero_and_all_numbers_at_round_marks() {
+    fn an_axis_has_room_for_zero_and_all_numbers() {
         let of = |numbers: &[f64]| {
             let spreads: Vec<Spread> =
                 numbers.iter().filter_map(|number| Spread::of([*number])).collect();
-            let axis = Axis::of(spreads.iter());
-            (axis.text(0), axis.text(1), axis.text(axis.steps))
+            ends(spreads.iter())
         };
-        let texts = |[first, second, last]: [&str; 3]| {
-            (first.to_owned(), second.to_owned(), last.to_owned())
-        };
-        assert_eq!(of(&[128.3, -5.4]), texts(["-50", "0", "150"]));
-        assert_eq!(of(&[2.0, 1.5]), texts(["0.0", "0.5", "2.0"]));
-        assert_eq!(of(&[-1.74]), texts(["-2.0", "-1.5", "0.0"]));
-        assert_eq!(of(&[0.0]).0, "0");
+        assert_eq!(of(&[128.3, -5.4]), [-5.4, 128.3]);
+        assert_eq!(of(&[2.0, 1.5]), [0.0, 2.0]);
+        assert_eq!(of(&[-1.74]), [-1.74, 0.0]);
+        assert_eq!(of(&[0.0]), [0.0, 1.0]);
     }
 
     #[test]
     fn bars_of_losses_lead_to_the_left_of_zero() {
         let spread = Spread::of([-30.0, -50.0]).unwrap();
         let bars = vec![Bar { group: "g", label: 0, spread }];
-        let axis = Axis::of([spread].iter());
-        let bars = Bars { about: "return", labels: vec!["one"], bars, axis };
-        let layout = Layout::new(&bars);
-        assert!(layout.x(-40.0) < layout.x(0.0) && layout.x(-50.0) >= layout.left);
+        let ends = ends([spread].iter());
+        let bars = Bars { about: "return", labels: vec!["one"], bars, ends };
         let svg = draw_bars("Losses", &bars).unwrap();
         for part in ["Losses", "return", "\ng\n", "-40", "one"] {
             assert!(svg.contains(part), "no `{part}` in {svg}");
         }
+        // Of four fifths of the axis, whose right end is zero.
+        let bar = svg.lines().rfind(|line| line.contains("fill=\"#0072B2\""));
+        let number = |name: &str| -> f64 {
+            let rest = bar.and_then(|bar| bar.split_once(&format!(" {name}=\"")));
+            rest.and_then(|(_, rest)| rest.split('"').next()?.parse().ok()).unwrap()
+        };
+        let end = f64::from(WIDTH as i32 - MARGIN - 16);
+        assert!((number("x") + number("width") - end).abs() < 3.0, "{svg}");
     }
 
     #[test]

@@ -13,7 +13,7 @@ use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-pub use bars::{Axis, Bar, Bars, draw_bars, teams};
+pub use bars::{Bar, Bars, draw_bars, ends, teams};
 pub use curves::curves;
 
 use crate::error::LearnError;
@@ -42,8 +42,8 @@ const COLOURS: [RGBColor; 7] = [
 /// Pixels drawn and left out; the first is a full line.
 const DASHES: [Option<(u32, u32)>; 4] = [None, Some((18, 8)), Some((6, 6)), Some((34, 10))];
 
-type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), DrawingAreaErrorKind<io::Error>>;
+pub(crate) type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(crate) type Drawn = Result<(), DrawingAreaErrorKind<io::Error>>;
 
 /// The colour of the label at a place of the order.
 fn colour(index: usize) -> RGBColor {
@@ -61,19 +61,24 @@ fn picture(
     title: &str,
     draw: impl FnOnce(&Canvas<'_>) -> Drawn,
 ) -> Result<String, LearnError> {
-    let mut svg = String::new();
-    let outcome = {
-        let canvas = SVGBackend::with_string(&mut svg, (WIDTH, height)).into_drawing_area();
-        begin(&canvas, title).and_then(|()| draw(&canvas)).and_then(|()| canvas.present())
-    };
-    outcome.map_err(|error| LearnError::format(format!("picture `{title}`"), error))?;
-    Ok(svg)
+    let picture = svg((WIDTH, height), |canvas| {
+        let size = fitting(title, 28, WIDTH as i32 - 2 * MARGIN);
+        text(canvas, title, (MARGIN, TITLE_HEIGHT / 2), size, INK, HPos::Left)?;
+        draw(canvas)
+    });
+    picture.map_err(|error| LearnError::format(format!("picture `{title}`"), error))
 }
 
-fn begin(canvas: &Canvas<'_>, title: &str) -> Drawn {
-    canvas.fill(&WHITE)?;
-    let size = fitting(title, 28, WIDTH as i32 - 2 * MARGIN);
-    text(canvas, title, (MARGIN, TITLE_HEIGHT / 2), size, INK, HPos::Left)
+/// Draws on a white canvas of a size; why that failed.
+pub(crate) fn svg(
+    size: (u32, u32),
+    draw: impl FnOnce(&Canvas<'_>) -> Drawn,
+) -> Result<String, String> {
+    let mut svg = String::new();
+    let canvas = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+    let drawn = canvas.fill(&WHITE).and_then(|()| draw(&canvas)).and_then(|()| canvas.present());
+    drop(canvas);
+    drawn.map_err(|error| error.to_string()).map(|()| svg)
 }
 
 /// One line of text, vertically centred at a place.

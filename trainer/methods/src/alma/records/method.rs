@@ -8,6 +8,7 @@ use sortie_envs::random::below;
 use sortie_envs::{Environment, Observation, Random, Spec};
 use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::learner::Rules;
+use sortie_learn::networks::MixerKind;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Level, Rates, Reports, UpdateReport};
 use sortie_learn::subtasks::{
@@ -338,7 +339,7 @@ impl Method for Records {
     }
 
     fn words(&self) -> Words {
-        let Config { network, returns, replay, allocation, .. } = &self.config;
+        let Config { network, mixer, returns, replay, allocation, .. } = &self.config;
         let allocator = match &self.allocator {
             None => String::new(),
             Some(_) => format!(
@@ -349,9 +350,17 @@ impl Method for Records {
         };
         let allocators = self.allocator.as_ref().map(|allocator| allocator.values.shape);
         let mut departures = export::skips(self.networks.shape, allocators);
+        departures += match mixer.kind {
+            MixerKind::Sum => {
+                "- Utilities of a subtask's team are summed (VDN); there is no mixing network.\n"
+            }
+            MixerKind::Linear => {
+                "- Utilities of a subtask's team are mixed by a weighted sum, not by two layers.\n"
+            }
+            MixerKind::Qmix => "",
+        };
         departures += &format!(
-            "- Utilities of a subtask's team are summed (VDN); there is no mixing network.\n\
-             - It learns from records of one step and one subtask, with {}-step returns and discount {}.\n\
+            "- It learns from records of one step and one subtask, with {}-step returns and discount {}.\n\
              - Adam with averaged weights; embedding width {}.\n",
             returns.steps, returns.discount, network.width,
         );

@@ -1,11 +1,11 @@
 use super::*;
 use crate::gradient_check::{assert_gradient, random};
 
-/// The usual sizes, a group of heads with one more, and fewer heads than a group.
+/// The usual sizes, and other numbers of heads.
 const SHAPES: [AttentionShape; 5] = [
-    AttentionShape::WIDTH_32,
-    AttentionShape::WIDTH_64,
-    AttentionShape::WIDTH_128,
+    AttentionShape { width: 32, heads: 4 },
+    AttentionShape { width: 64, heads: 4 },
+    AttentionShape { width: 128, heads: 4 },
     AttentionShape { width: 30, heads: 5 },
     AttentionShape { width: 8, heads: 2 },
 ];
@@ -65,7 +65,7 @@ fn gradients_agree_with_finite_differences() {
         let pass = Backward {
             queries: &queries,
             keys_values: &keys_values,
-            weights: &weights,
+            of_pairs: &weights,
             d_output: &d_output,
             d_scores: &mut vec![0.0; ROWS * shape.heads],
             d_queries: &mut d_queries,

@@ -2,9 +2,9 @@ use super::*;
 use crate::gradient_check::{assert_gradient, random};
 
 const SHAPES: [AttentionShape; 4] = [
-    AttentionShape::WIDTH_32,
-    AttentionShape::WIDTH_64,
-    AttentionShape::WIDTH_128,
+    AttentionShape { width: 32, heads: 4 },
+    AttentionShape { width: 64, heads: 4 },
+    AttentionShape { width: 128, heads: 4 },
     AttentionShape { width: 6, heads: 3 },
 ];
 const ROWS: usize = 5;
