@@ -63,6 +63,7 @@ function letDrag() {
   };
   // What is drawn of it changes with every state.
   const drawn = () => map.querySelector(`[data-entity="${grabbed.entity}"]`);
+  // Before it is selected, which draws it anew.
   map.addEventListener("pointerdown", (event) => {
     const element = event.target.closest("[data-entity]");
     if (!element || event.button !== 0) {
@@ -72,7 +73,7 @@ function letDrag() {
       grabbed = { entity: Number(element.dataset.entity), from: pointed(event), isDragged: false };
       map.setPointerCapture(event.pointerId);
     }
-  });
+  }, { capture: true });
   map.addEventListener("pointermove", (event) => {
     if (!grabbed) {
       return;

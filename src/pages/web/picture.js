@@ -205,7 +205,8 @@ function rewardMarks(view, state) {
     if (!middle || text === "0") {
       return [];
     }
-    const y = middle[1] + (middle[1] < 60 ? 40 : -26);
+    const r = radiusOf(state.things[thing]);
+    const y = middle[1] - r < 20 ? middle[1] + r + 22 : middle[1] - r - 9;
     return [svg("text", { x: middle[0], y, class: `earned ${reward > 0 ? "gain" : "loss"}` }, text)];
   });
 }

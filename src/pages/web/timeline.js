@@ -34,7 +34,8 @@ function createTimeline(go) {
   }
 
   function drawAll() {
-    const width = timeline.parentElement.clientWidth;
+    // Without the padding of the panel.
+    const width = timeline.parentElement.clientWidth - 14;
     drawn = episode.changes;
     const columns = Math.max(LAST + 1, Math.min(episode.room ?? 0, KEPT_FREE));
     column = Math.min(90, Math.max(0, width - gutter - 8) / columns);

@@ -186,3 +186,46 @@ pub fn lettered(number: usize) -> String {
         round => format!("{letter}{}", round + 1),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use alloc::collections::BTreeMap;
+
+    use super::*;
+    use crate::random::generator;
+    use crate::{EntitySet, Split, open};
+
+    #[test]
+    fn without_a_picture_entities_are_shown_by_what_is_observed_of_them() {
+        // Sets of up to five agents have room for some that do not exist.
+        let city = open("save-the-city", Split::Train, 1, &BTreeMap::new());
+        let (mut city, mut random) = (city.expect("it opens"), generator(1));
+        let (mut state, mut seen) = (Vec::new(), Observation::default());
+        for _ in 0..10 {
+            city.reset(0, &mut random);
+            state.clear();
+            city.save(0, &mut state);
+            city.observe(&state, 0, EntitySet::MAX, &mut seen);
+            let shown = Picture::of_observation(city.spec(), &seen);
+            let own = city.picture(&state);
+            assert_eq!(
+                (shown.agents.len(), shown.things.len()),
+                (own.agents.len(), own.things.len())
+            );
+            let tasks: Vec<_> = own.things.iter().map(|thing| thing.task).collect();
+            assert_eq!(shown.things.iter().map(|thing| thing.task).collect::<Vec<_>>(), tasks);
+            let health = format!("health {:.2}", own.things[0].bars[0].share);
+            assert!(shown.things[0].about.contains(&health), "{}", shown.things[0].about);
+            assert!(
+                shown.field.is_none() && shown.agents.iter().all(|agent| agent.place.is_none())
+            );
+            let last = shown.entity(shown.agents.len()).expect("the first thing");
+            assert_eq!(last, &shown.things[0]);
+        }
+    }
+
+    #[test]
+    fn letters_go_on_behind_the_last() {
+        assert_eq!([0, 25, 26, 53].map(lettered), ["A", "Z", "A2", "B3"]);
+    }
+}

@@ -50,7 +50,7 @@ pub(super) fn recorded(wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure>
         labelled.filter(|choice| *choice != AllocatorChoice::Learned || is_learned)
     });
     let heading = Heading {
-        subject: last_name(Path::new(&playback.labels().name)),
+        subject: playback.labels().name.clone(),
         env: format!("{ENVIRONMENT}/{}", world.scenario_set().name),
         allocation: choice.map(|choice| choice.name().into()),
         notes: notes(&playback, choice, policy),
@@ -79,7 +79,8 @@ fn notes(
     choice: Option<AllocatorChoice>,
     policy: Option<&Path>,
 ) -> Vec<String> {
-    let acting = &playback.labels().policy;
+    // Whoever gets the page sent need not know the folders above.
+    let acting = playback.labels().policy.rsplit('/').next().unwrap_or_default();
     let mut notes = vec![format!("A recording of: {acting}.")];
     notes.push(match choice {
         Some(choice) => {

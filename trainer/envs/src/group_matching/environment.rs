@@ -108,7 +108,7 @@ fn cell_at(parameters: &Parameters, place: [f64; 2]) -> Option<u8> {
 /// What a ring looks like. Agents in one cell stand one behind the other, towards the middle.
 fn picture(parameters: &Parameters, ring: Ring<'_>) -> Picture {
     let (cells, groups) = (parameters.cells, ring.groups().collect::<Vec<_>>());
-    let side = (0.9 * 2.0 * libm::sin(PI / cells as f64)).min(0.4);
+    let side = (0.9 * 2.0 * libm::sin(PI / cells as f64)).min(0.8);
     let gap = (0.9 / ring.cells.len() as f64).min(0.2);
     let agents = ring.cells.iter().enumerate().map(|(agent, cell)| {
         let before = ring.cells[..agent].iter().filter(|other| *other == cell).count();
@@ -146,7 +146,7 @@ fn picture(parameters: &Parameters, ring: Ring<'_>) -> Picture {
         ..Cell::default()
     };
     Picture {
-        field: Some(Field::plane(1.0 + side, side)),
+        field: Some(Field::plane(1.05 + side / 2.0, side)),
         cells: (0..cells).map(cell).collect(),
         agents: agents.collect(),
         things: things.collect(),
