@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value};
 use sortie_envs::group_matching::sizes;
-use sortie_envs::{Episode, Spec, group_matching, save_the_city};
+use sortie_envs::{Episode, Metric, Spec, group_matching, save_the_city};
 
 use crate::worlds::tally::Tally;
 
@@ -78,7 +78,10 @@ pub(crate) fn figures(spec: &Spec, tally: &Tally) -> Figures {
         (sum.episodes > 0).then(|| (metric, sum.sum / sum.episodes as f64))
     });
     let text = means.clone().filter(|(metric, _)| metric.is_reported);
-    let text = text.map(|(metric, mean)| format!("{} {mean:.2} {}", metric.name, metric.unit));
+    let text = text.map(|(Metric { name, unit, .. }, mean)| {
+        let unit = if name == unit { String::new() } else { format!(" {unit}") };
+        format!("{name} {mean:.2}{unit}")
+    });
     let fields: Map<String, Value> =
         means.map(|(metric, mean)| (metric.name.to_owned(), mean.into())).collect();
     Figures { text: text.collect::<Vec<_>>().join(", "), fields: vec![("metrics", fields.into())] }
@@ -120,7 +123,7 @@ mod tests {
         tally.add(played);
         tally.add(episode("gridworld", &[("treasures", 1.0), ("tiers", 1.0)]).1);
         let figures = figures(&spec, &tally);
-        assert_eq!(figures.text, "treasures 1.50 treasures, tiers 1.00 tiers");
+        assert_eq!(figures.text, "treasures 1.50, tiers 1.00");
         assert_eq!(figures.fields[0].1["treasures"], 1.5);
     }
 }

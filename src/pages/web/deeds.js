@@ -66,10 +66,7 @@ function letDrag() {
   // Before it is selected, which draws it anew.
   map.addEventListener("pointerdown", (event) => {
     const element = event.target.closest("[data-entity]");
-    if (!element || event.button !== 0) {
-      return;
-    }
-    if (isRunning()) {
+    if (element && event.button === 0 && isRunning()) {
       grabbed = { entity: Number(element.dataset.entity), from: pointed(event), isDragged: false };
       map.setPointerCapture(event.pointerId);
     }

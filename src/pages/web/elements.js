@@ -109,6 +109,11 @@ function discIcon(disc, kind) {
   return tint(icon(svg("g", { class: kind }, outline(disc.outline, 13))), disc.colour);
 }
 
+/** "builder B0", or "agent" where that is its name. */
+function titleOf({ kind, name }) {
+  return name === kind ? name : `${kind} ${name}`;
+}
+
 /** Agents and things of a state: agents come first. */
 function entitiesOf(state) {
   return [...state.agents, ...state.things];

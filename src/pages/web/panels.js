@@ -82,8 +82,9 @@ function showAttention(view, state) {
     return entity === view.agent ? " (itself)" : link ? ` (${link.name})` : "";
   };
   const lines = rows.map(({ entity, weights, average }) => {
-    const { kind, name } = entities[entity];
-    const label = html("th", { scope: "row" }, `${entity < state.agents.length ? "" : `${kind} `}${name}${own(entity)}`);
+    const disc = entities[entity];
+    const title = entity < state.agents.length ? disc.name : titleOf(disc);
+    const label = html("th", { scope: "row" }, `${title}${own(entity)}`);
     return html("tr", {}, label, heat(average, "mean"), ...weights.map((weight) => heat(weight)));
   });
   const heads = attention[0]?.weights ?? [];
@@ -165,12 +166,12 @@ function createSidePanel(select) {
     listed.forEach((thing, place) => showThing(buttons[place], view, state, thing));
     showSelected(view, state);
     byId("team").hidden = !episode.steps.some(earns) && state.agents.every(({ status, about }) => !status && !about);
-    const rows = episode.agents.map(({ name, kind }, agent) => {
+    const rows = episode.agents.map((facts, agent) => {
       const { status, about } = state.agents[agent];
       const rewards = episode.steps.slice(0, view.at).filter(earns).map((step) => step.agent_rewards[agent]);
       const numbers = rewards.length ? [signed(rewards.at(-1)), fixed(rewards.reduce((sum, reward) => sum + reward, 0))] : ["", ""];
       const told = [status, about].filter(Boolean).join(", ");
-      return named(select, view, agent, `${name} ${kind}`, ...[told, ...numbers].map((text) => html("td", {}, text)));
+      return named(select, view, agent, titleOf(facts), ...[told, ...numbers].map((text) => html("td", {}, text)));
     });
     fill("team", ...rows);
     byId("looks").hidden = !isAttending(state);
@@ -213,7 +214,7 @@ function showThing(button, view, state, number) {
 /** What is known of the selected thing, and what teams are worth there. */
 function showSelected(view, state) {
   const thing = state.things[view.thing];
-  byId("thing-title").textContent = thing ? `${thing.kind} ${thing.name}` : "";
+  byId("thing-title").textContent = thing ? titleOf(thing) : "";
   const earned = episode.steps.slice(0, view.at).map((step) => step.task_rewards[thing?.task]);
   const rewarded = earned.at(-1) === undefined ? "" : `rewarded ${signed(earned.at(-1))} last step, ${signed(earned.reduce((sum, reward) => sum + reward, 0))} in all`;
   const levels = (thing?.bars ?? []).map((bar) => `${bar.name} ${percent(bar.share)} %`);

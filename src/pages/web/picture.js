@@ -212,10 +212,11 @@ function rewardMarks(view, state) {
 }
 
 /** A disc in words. */
-function describeDisc({ kind, name, place, status, about, bars = [] }) {
+function describeDisc(disc) {
+  const { place, status, about, bars = [] } = disc;
   const where = place ? ` at ${place.map((part) => (FIELD.is_grid ? part : fixed(part))).join(", ")}` : "";
   const levels = bars.map((bar) => `${bar.name} ${percent(bar.share)} %`);
-  return [`${kind} ${name}${where}`, status, ...levels, about].filter(Boolean).join(", ");
+  return [`${titleOf(disc)}${where}`, status, ...levels, about].filter(Boolean).join(", ");
 }
 
 /** The picture in words. */

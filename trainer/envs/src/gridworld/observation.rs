@@ -135,7 +135,7 @@ pub(super) fn picture(rules: &Rules, state: &State<'_>) -> Picture {
                 pit if pit.is_open => ("open pit", "!".into(), Some(1)),
                 pit => ("pit", format!("{:.0}", (100.0 * pit.probability).min(99.0)), None),
             },
-            door if door >= FIRST_DOOR && door < FIRST_DOOR + DOORS => {
+            door if (FIRST_DOOR..FIRST_DOOR + DOORS).contains(&door) => {
                 let is_open = rules.map.is_open(cell, state.tiers);
                 if is_open { ("open door", "::".into(), None) } else { ("door", "==".into(), None) }
             }

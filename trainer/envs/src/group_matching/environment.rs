@@ -138,7 +138,7 @@ fn picture(parameters: &Parameters, ring: Ring<'_>) -> Picture {
             ..Disc::default()
         }
     });
-    let label = |cell: usize| (cell < 100).then(|| cell.to_string()).unwrap_or_default();
+    let label = |cell: usize| if cell < 100 { cell.to_string() } else { String::new() };
     let cell = |cell: usize| Cell {
         place: middle(cell, cells, 1.0),
         kind: "cell".into(),
