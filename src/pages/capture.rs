@@ -6,7 +6,7 @@ use sortie_learn::play::{Onlooker, Watched, watch};
 use sortie_learn::{Act, LearnError, Scenes};
 use sortie_stage::{
     Cast, Event, Facts, Glance, Head, News, Opening, Player, Shown, StageError, State, Step,
-    TeamValues, Thought, memory, result, rounded,
+    Thought, memory, result, rounded,
 };
 
 /// An episode as it went.
@@ -148,9 +148,8 @@ impl<T: Act + ?Sized> Act for TeamLog<'_, T> {
             let own: Vec<_> = thoughts.by_ref().take(shown.state.agents.len()).map(Some).collect();
             shown.state.thoughts = (!own.is_empty()).then_some(own);
             if let Some(TeamValueProbe { ask, team_max }) = &mut self.probe {
-                let values = TeamValues::of_state(&shown, *team_max, 0, |task, teams| {
-                    ask(worlds, scene.state, task, teams)
-                });
+                let values = shown
+                    .team_values(*team_max, 0, |task, teams| ask(worlds, scene.state, task, teams));
                 shown.state.values = Some(values?);
             }
             self.shown.push(shown);

@@ -51,8 +51,8 @@ const LEAST: usize = 16;
 const BAR: usize = 6;
 /// Characters of an agent where there are too many for a line each.
 const NARROW: usize = 16;
-/// Characters that are kept free behind the legend.
-const HINT: usize = 32;
+/// Characters that are kept free behind the legend: whoever shows it says there what a person can do.
+const HINT: usize = 36;
 
 const COLOURS: [Color; 6] =
     [Color::Cyan, Color::Red, Color::Yellow, Color::Magenta, Color::Green, Color::Blue];

@@ -16,7 +16,6 @@ use crate::error::StageError;
 use crate::memory::Memory;
 use crate::show::{Event, Facts, Glance, Shown, State, Step, result};
 use crate::stage::{Moment, Stage};
-use crate::team_values::TeamValues;
 use crate::thoughts::Thought;
 use crate::utilities::UtilityHash;
 use crate::world::EnvironmentWorld;
@@ -294,7 +293,7 @@ impl<'a> Player<'a> {
         now.assign(stage.allocation(), stage.is_allocated_anew());
         let absent = (0..stage.slots()).filter(|agent| stage.is_absent(*agent));
         let absent = absent.fold(0, |set, agent| set | 1_u64 << agent);
-        let values = TeamValues::of_state(now, stage.team_max(), absent, |task, teams| {
+        let values = now.team_values(stage.team_max(), absent, |task, teams| {
             stage.team_values(task, teams).map(Option::unwrap_or_default)
         });
         now.state.values = Some(values?);

@@ -9,7 +9,7 @@ use serde::Serialize;
 use sortie_envs::picture::{Cell, Disc, Field, Link};
 use sortie_envs::{EntitySet, Environment, Episode, Metric, Observation, Spec, UNASSIGNED};
 
-use crate::team_values::TeamValues;
+use crate::team_values::{TeamValues, candidates};
 use crate::thoughts::{Thought, rounded};
 
 /// An instance of an environment.
@@ -210,10 +210,35 @@ impl Shown {
     }
 
     /// The agents that are assigned to a subtask, as bits.
-    pub fn team(&self, task: usize) -> u64 {
+    fn team(&self, task: usize) -> u64 {
         let own = self.state.allocation.iter().enumerate();
         let here = own.filter(|(_, own)| own.is_some_and(|own| usize::from(own) == task));
         here.fold(0, |team, (agent, _)| team | 1 << agent)
+    }
+
+    /// What is known of the teams at each subtask, and of others without `absent` agents that might be there; none of closed
+    /// ones. `ask` values teams, bit a of which stands for agent a, at a subtask.
+    ///
+    /// # Errors
+    /// As `ask`.
+    pub fn team_values<E>(
+        &self,
+        team_max: usize,
+        absent: u64,
+        mut ask: impl FnMut(usize, &[u64]) -> Result<Vec<f32>, E>,
+    ) -> Result<Vec<Option<TeamValues>>, E> {
+        let tasks = self.state.things.iter().filter_map(|thing| thing.task).max();
+        let at = |task: usize| {
+            if self.open_tasks >> task & 1 == 0 {
+                return Ok(None);
+            }
+            let chosen = self.team(task);
+            let mut teams = candidates(self.state.agents.len(), team_max, chosen);
+            teams.retain(|team| team & absent == 0);
+            let values = ask(task, &teams)?;
+            Ok((!values.is_empty()).then(|| TeamValues::of(&teams, &values, chosen)))
+        };
+        (0..tasks.map_or(0, |last| last + 1)).map(at).collect()
     }
 
     /// What is worth jumping to: whose status is another one than before, what was reached, and who is assigned elsewhere.

@@ -5,7 +5,6 @@ use alloc::vec::Vec;
 use serde::Serialize;
 use sortie_envs::members;
 
-use crate::show::Shown;
 use crate::thoughts::rounded;
 
 /// What the allocator expects of teams at one subtask.
@@ -25,33 +24,8 @@ const OTHERS: usize = 3;
 const ALL_TEAMS: usize = 8;
 
 impl TeamValues {
-    /// What is known of the teams at each subtask of a state, and of others without `absent` agents that might be there;
-    /// none of closed ones. `ask` values teams, bit a of which stands for agent a, at a subtask.
-    ///
-    /// # Errors
-    /// As `ask`.
-    pub fn of_state<E>(
-        shown: &Shown,
-        team_max: usize,
-        absent: u64,
-        mut ask: impl FnMut(usize, &[u64]) -> Result<Vec<f32>, E>,
-    ) -> Result<Vec<Option<Self>>, E> {
-        let tasks = shown.state.things.iter().filter_map(|thing| thing.task).max();
-        let at = |task: usize| {
-            if shown.open_tasks >> task & 1 == 0 {
-                return Ok(None);
-            }
-            let chosen = shown.team(task);
-            let mut teams = candidates(shown.state.agents.len(), team_max, chosen);
-            teams.retain(|team| team & absent == 0);
-            let values = ask(task, &teams)?;
-            Ok((!values.is_empty()).then(|| Self::of(&teams, &values, chosen)))
-        };
-        (0..tasks.map_or(0, |last| last + 1)).map(at).collect()
-    }
-
     /// What is shown of teams and their values: the chosen one, nobody, and the best others.
-    fn of(teams: &[u64], values: &[f32], chosen: u64) -> Self {
+    pub(crate) fn of(teams: &[u64], values: &[f32], chosen: u64) -> Self {
         let mut others = Vec::new();
         let (mut own, mut nobody) = (0.0, 0.0);
         for (&team, &value) in teams.iter().zip(values) {
@@ -71,7 +45,7 @@ impl TeamValues {
 }
 
 /// Nobody, the chosen team, and others of the first so many agents that the allocator may give; bit a stands for agent a.
-fn candidates(agents: usize, team_max: usize, chosen: u64) -> Vec<u64> {
+pub(crate) fn candidates(agents: usize, team_max: usize, chosen: u64) -> Vec<u64> {
     let fits = |team: &u64| team.count_ones() as usize <= team_max;
     let mut teams: Vec<u64> = if agents <= ALL_TEAMS {
         (0..1 << agents).filter(fits).collect()
@@ -93,7 +67,7 @@ mod tests {
     use sortie_envs::{Split, UNASSIGNED, open};
 
     use super::*;
-    use crate::show::Glance;
+    use crate::show::{Glance, Shown};
 
     /// Some value of a team at a subtask, of which no two are alike.
     fn value(task: usize, team: u64) -> f32 {
@@ -118,7 +92,7 @@ mod tests {
             let known = teams.iter().map(|team| value(task, *team));
             Ok::<_, ()>(known.collect())
         };
-        let values = TeamValues::of_state(&shown, 2, 0, ask).expect("it answers");
+        let values = shown.team_values(2, 0, ask).expect("it answers");
         assert_eq!(values.len(), shown.state.things.len());
         assert!(values[1].is_none(), "closed subtasks have no value");
         let everybody_else = (1 << agents) - 2;
