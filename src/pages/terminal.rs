@@ -222,7 +222,9 @@ impl List<'_> {
         let (task, action) = self.work(agent);
         let task = task.map_or(String::new(), |task| format!("at {task:3} "));
         let more = [&disc.status[..], &disc.about].join(" ");
-        let text = format!("{:4} {:11} {task}{action:8} {}", sign(disc), disc.kind, more.trim());
+        // Where nobody is anything else it need not be said.
+        let kind = if disc.kind == "agent" { String::new() } else { format!("{:11} ", disc.kind) };
+        let text = format!("{:4} {kind}{task}{action:8} {}", sign(disc), more.trim());
         style(disc.colour).apply_to(fitting(text.trim_end().to_owned(), self.width)).to_string()
     }
 
