@@ -5,16 +5,13 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::files::{MOST_BYTES, read_file, read_text};
-use sortie_envs::golden;
 
 use crate::allocation::AllocatorChoice;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::{Kind, try_output, write_output};
-use crate::methods::{LearnedMethod, choose};
 use crate::output::{Common, plural, print_json, say};
-use crate::replay;
 use crate::subject::Subject;
-use crate::views::{Hashes, Live, Page, Wanted, not_live, view_of};
+use crate::views::{self, Hashes, Live, Page, Wanted, not_live};
 
 /// Look at one episode: where everybody is, who is assigned where, what each agent computes
 ///
@@ -101,12 +98,11 @@ fn live(arguments: &ViewArguments) -> Outcome {
         try_output(file, Kind::Page)?;
     }
     let subject = Subject::find(&arguments.subject)?;
-    let Subject::Bundle(bundle) = &subject else { return Err(not_live(&wanted(arguments))) };
+    let wanted = wanted(arguments);
+    let Subject::Bundle(bundle) = &subject else { return Err(not_live(&wanted)) };
     let set = subject.scenario_set(arguments.env.as_deref())?;
-    let view = view_of(set.entry().name);
     let program = arguments.program.as_deref().map(read).transpose()?;
-    let wanted = Wanted { set: Some(set), ..wanted(arguments) };
-    let Live { html, hashes } = view.live(&wanted, bundle, program.as_deref())?;
+    let Live { html, hashes } = views::live(&wanted, bundle, &set, program.as_deref())?;
     if let Some(file) = &arguments.output {
         write_output(file, html.as_bytes())?;
     }
@@ -130,29 +126,7 @@ fn played_page(arguments: &ViewArguments) -> Result<Page, Failure> {
     if arguments.policy.is_some() {
         return Err(usage("--policy is for recorded episodes; name the run or bundle itself"));
     }
-    let subject = Subject::find(&arguments.subject)?;
-    if let Subject::Run(learned) = &subject
-        && learned.method.subtasks().is_none()
-    {
-        return learned_page(arguments, learned);
-    }
-    let set = subject.scenario_set(arguments.env.as_deref())?;
-    let view = view_of(set.entry().name);
-    view.played(&Wanted { set: Some(set), ..wanted(arguments) }, &subject)
-}
-
-/// The page of a run whose agents have no subtasks.
-fn learned_page(arguments: &ViewArguments, learned: &LearnedMethod) -> Result<Page, Failure> {
-    if let Some(asked) = arguments.allocation {
-        return Err(asked.of_no_use());
-    }
-    let mut choice = learned.description.config.environment.clone();
-    if let Some(name) = &arguments.env {
-        choose(&mut choice, name)?;
-    }
-    let world = learned.open_as(&choice)?;
-    let (view, mut team) = (view_of(world.spec().name), learned.method.team());
-    view.acted(&wanted(arguments), choice.to_string(), &*world, &mut *team)
+    views::played(&wanted(arguments))
 }
 
 fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure> {
@@ -160,15 +134,13 @@ fn recorded_page(arguments: &ViewArguments, file: &Path) -> Result<Page, Failure
         return Err(usage("--episode and --env choose what is played, but this is a recording"));
     }
     let text = read_text(file, MOST_BYTES).map_err(|error| Failure::file(file, &error))?;
-    let entry = golden::environment(&text)
-        .map_err(|error| replay::unreadable(error).within(file.display()))?;
-    view_of(entry.name).recorded(&wanted(arguments), &text)
+    views::recorded(&wanted(arguments), &text)
 }
 
 fn wanted(arguments: &ViewArguments) -> Wanted<'_> {
     Wanted {
         subject: &arguments.subject,
-        set: None,
+        env: arguments.env.as_deref(),
         episode: arguments.episode.unwrap_or(0) as usize,
         seed: arguments.common.seed,
         allocation: arguments.allocation,

@@ -9,21 +9,15 @@ extern crate alloc;
 
 mod allocation;
 mod cast;
-mod crafting;
 mod error;
-pub mod gridworld;
-pub mod group_matching;
 mod memory;
-pub mod milestones;
 mod mind;
-pub mod particle;
 mod player;
-pub mod save_the_city;
 mod show;
 mod stage;
 pub mod tally;
+mod team_values;
 mod thoughts;
-mod treasure_rooms;
 mod utilities;
 pub mod world;
 
@@ -34,9 +28,10 @@ pub use cast::{AllocatorCast, Cast, GoldenObservation, OptionSettings};
 pub use error::StageError;
 pub use memory::Memory;
 pub use player::{News, Opening, Player, memory};
-pub use show::{Glance, Show, Shown};
+pub use show::{AgentFacts, Event, Facts, Glance, Shown, State, Step, result};
 pub use stage::{Moment, Stage};
-pub use thoughts::{Attention, Head, Pursued, Thought, lettered, rounded};
+pub use team_values::TeamValues;
+pub use thoughts::{Attention, Head, Pursued, Thought, rounded};
 pub use utilities::{UtilityHash, golden_hash, hash_of};
 
 #[cfg(test)]

@@ -4,31 +4,30 @@ use alloc::collections::BTreeMap;
 use alloc::string::{String, ToString};
 use alloc::vec;
 use alloc::vec::Vec;
-use core::cell::RefCell;
 
 use serde::Serialize;
 use sortie_core::wire::FrameMut;
 use sortie_core::world::{Shape, StepOutcome, UnavailableAction, World};
 use sortie_envs::random::episode;
-use sortie_envs::{Choice, Environment, EnvironmentError, Split, StateError};
+use sortie_envs::{Choice, ENVIRONMENTS, Entry, Environment, EnvironmentError, Split, StateError};
 
 use crate::cast::Cast;
 use crate::error::StageError;
 use crate::memory::Memory;
-use crate::show::{Glance, Show, Shown};
+use crate::show::{Event, Facts, Glance, Shown, State, Step, result};
 use crate::stage::{Moment, Stage};
 use crate::thoughts::Thought;
 use crate::utilities::UtilityHash;
 use crate::world::EnvironmentWorld;
 
 /// A team that plays episodes of a seed.
-pub struct Player<'a, S: Show> {
-    stage: Stage<'a, Episodes<S>>,
-    facts: S::Facts,
+pub struct Player<'a> {
+    stage: Stage<'a, Episodes>,
+    facts: Facts,
     /// Number of the state that is shown.
     at: usize,
-    before: Option<Shown<S>>,
-    now: Shown<S>,
+    before: Option<Shown>,
+    now: Shown,
     is_over: bool,
     /// Absent agents, and the number of the state since when.
     absent: BTreeMap<usize, usize>,
@@ -38,42 +37,40 @@ pub struct Player<'a, S: Show> {
 
 /// What a page shows first.
 #[derive(Serialize)]
-#[serde(bound = "")]
-pub struct Opening<'p, S: Show> {
+pub struct Opening {
+    /// What does not change.
     #[serde(flatten)]
-    facts: &'p S::Facts,
-    /// Steps after which an episode times out.
-    limit: u32,
+    pub facts: Facts,
     /// Who may allocate, by name; nobody where agents are not assigned.
-    allocators: Vec<&'static str>,
+    pub allocators: Vec<&'static str>,
+    /// The first state.
     #[serde(flatten)]
-    news: News<S>,
+    pub news: News,
 }
 
 /// A state that is new, or has changed.
 #[derive(Serialize)]
-#[serde(bound = "")]
-pub struct News<S: Show> {
-    at: usize,
+pub struct News {
+    /// Its number.
+    pub at: usize,
     /// What led to it.
     #[serde(skip_serializing_if = "Option::is_none")]
-    step: Option<S::Step>,
-    state: Decided<S>,
-    events: Vec<S::Event>,
+    pub step: Option<Step>,
+    /// The state, with what the team thinks in it.
+    pub state: Decided,
+    /// What is worth jumping to.
+    pub events: Vec<Event>,
     /// Where the episode is over.
     #[serde(skip_serializing_if = "Option::is_none")]
-    result: Option<&'static str>,
+    pub result: Option<&'static str>,
 }
 
-/// A state with what the team thinks, and is about to do in it.
+/// A state with what the team is about to do in it.
 #[derive(Serialize)]
-#[serde(bound = "")]
-struct Decided<S: Show> {
+pub struct Decided {
+    /// The state.
     #[serde(flatten)]
-    state: S::State,
-    /// `[A]`: what each agent thinks, none of agents that do not decide; none of final states.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    thoughts: Option<Vec<Option<Thought>>>,
+    pub state: State,
     /// `[A]`: what each agent has decided to do; none of those that decide nothing.
     chosen: Vec<Option<u16>>,
     /// Agents without a process.
@@ -83,15 +80,21 @@ struct Decided<S: Show> {
     absent: Vec<(usize, usize)>,
 }
 
-/// Memory for a team in the worlds of an environment.
+/// Memory for a team in the worlds of its environment.
 ///
 /// # Errors
 /// The plans are damaged, or the team is for other worlds.
-pub fn memory<S: Show>(cast: &Cast) -> Result<Memory, StageError> {
-    Memory::new(cast, S::entry(), Episodes::<S>::new(&cast.set, 0, 0)?.shape())
+pub fn memory(cast: &Cast) -> Result<Memory, StageError> {
+    Memory::new(cast, entry(cast)?, Episodes::new(cast, 0, 0)?.shape())
 }
 
-impl<'a, S: Show> Player<'a, S> {
+/// How the environment of a team is found.
+fn entry(cast: &Cast) -> Result<&'static Entry, EnvironmentError> {
+    let found = ENVIRONMENTS.iter().find(|entry| entry.name == cast.environment);
+    found.ok_or_else(|| EnvironmentError::Set(cast.environment.clone()))
+}
+
+impl<'a> Player<'a> {
     /// Begins an episode of a seed, and decides in its first state.
     ///
     /// # Errors
@@ -102,10 +105,9 @@ impl<'a, S: Show> Player<'a, S> {
         seed: u64,
         episode: usize,
     ) -> Result<Self, StageError> {
-        let mut stage = Stage::new(memory, cast, Episodes::new(&cast.set, seed, episode)?, seed)?;
+        let mut stage = Stage::new(memory, cast, Episodes::new(cast, seed, episode)?, seed)?;
         stage.go_on()?;
-        let (facts, state) = stage.world.with(|seen| (S::facts(seen), S::state(seen)));
-        let now = Shown { step: None, state };
+        let (facts, now) = (stage.world.with(Facts::at), stage.world.with(Shown::at));
         Ok(Self {
             stage,
             facts,
@@ -123,80 +125,75 @@ impl<'a, S: Show> Player<'a, S> {
     ///
     /// # Errors
     /// A role ended.
-    pub fn open(&mut self) -> Result<Opening<'_, S>, StageError> {
+    pub fn open(&mut self) -> Result<Opening, StageError> {
         self.stage.attend();
-        self.stage.look_again()?;
-        let news = self.news()?;
-        let rules = S::entry().rules.iter().map(|rule| rule.name);
-        let allocators = ["learned"].into_iter().chain(rules);
-        let limit = self.stage.world.with(|seen| seen.worlds.spec().episode_limit);
+        let news = self.look_again()?;
+        let rules = self.stage.world.with(|seen| seen.worlds.spec().rules).iter();
+        let allocators = ["learned"].into_iter().chain(rules.map(|rule| rule.name));
         let assigns = !self.stage.allocation().is_empty();
         let allocators = if assigns { allocators.collect() } else { Vec::new() };
-        Ok(Opening { facts: &self.facts, limit, allocators, news })
+        Ok(Opening { facts: self.facts.clone(), allocators, news })
     }
 
     /// Takes the next step; none where the episode is over.
     ///
     /// # Errors
     /// A role ended.
-    pub fn step(&mut self) -> Result<Option<News<S>>, StageError> {
+    pub fn step(&mut self) -> Result<Option<News>, StageError> {
         if self.is_over {
             return Ok(None);
         }
         let moment = self.stage.go_on()?;
-        let Some(Stepped { shown, result }) = self.stage.world.stepped.take() else {
+        let Some(Stepped { step, last, result }) = self.stage.world.stepped.take() else {
             return Ok(None);
         };
         self.at += 1;
         self.is_over = moment == Moment::Over;
+        let shown = last.unwrap_or_else(|| self.stage.world.with(Shown::at));
+        let shown = shown.behind(Some(&self.now), Some(step.clone()));
         self.before = Some(core::mem::replace(&mut self.now, shown));
         let news = self.news()?;
-        Ok(Some(News { step: self.now.step.clone(), result, ..news }))
+        Ok(Some(News { step: Some(step), result, ..news }))
     }
 
     /// Puts an agent, or a thing behind the agents, elsewhere.
     ///
     /// # Errors
     /// Why it cannot be there.
-    pub fn place(&mut self, entity: usize, place: [f64; 2]) -> Result<News<S>, String> {
-        self.change(|worlds| {
-            worlds.place(0, entity, place).map_err(|error| match error {
-                StateError::Impossible(reason) => reason,
-                error => error.to_string(),
-            })
-        })
+    pub fn place(&mut self, entity: usize, place: [f64; 2]) -> Result<News, String> {
+        self.change(|worlds| worlds.place(0, entity, place).map_err(|error| reason(&error)))
     }
 
     /// Does to a thing what may come about by chance as well.
     ///
     /// # Errors
     /// Why nothing comes of it.
-    pub fn disturb(&mut self, thing: usize) -> Result<News<S>, String> {
-        self.change(|worlds| S::disturb(worlds, 0, thing))
+    pub fn disturb(&mut self, thing: usize) -> Result<News, String> {
+        self.change(|worlds| worlds.disturb(0, thing).map_err(|error| reason(&error)))
     }
 
     /// Ends the process of an agent, or starts one where it has none.
     ///
     /// # Errors
     /// The episode is over, or a role ended.
-    pub fn kill_or_revive(&mut self, agent: usize) -> Result<News<S>, String> {
+    pub fn kill_or_revive(&mut self, agent: usize) -> Result<News, String> {
         self.check_running()?;
         if self.stage.lives(agent) {
             self.stage.kill(agent);
         } else {
             self.stage.revive(agent).map_err(|error| error.to_string())?;
         }
-        self.look_again()
+        self.look_again().map_err(|error| error.to_string())
     }
 
     /// Has somebody else allocate, by the place in the opening's list.
     ///
     /// # Errors
     /// The episode is over, or a role ended.
-    pub fn choose_allocator(&mut self, choice: usize) -> Result<News<S>, String> {
+    pub fn choose_allocator(&mut self, choice: usize) -> Result<News, String> {
         self.check_running()?;
         self.stage.choose_allocator(choice);
-        self.look_again()
+        self.look_again().map_err(|error| error.to_string())
     }
 
     /// Computes an agent's decision once more; false where it decides nothing.
@@ -235,15 +232,18 @@ impl<'a, S: Show> Player<'a, S> {
     fn change(
         &mut self,
         change: impl FnOnce(&mut dyn Environment) -> Result<(), String>,
-    ) -> Result<News<S>, String> {
+    ) -> Result<News, String> {
         self.check_running()?;
         self.stage.world.change(change)?;
-        self.look_again()
+        self.look_again().map_err(|error| error.to_string())
     }
 
-    fn look_again(&mut self) -> Result<News<S>, String> {
-        let again = self.stage.look_again().and_then(|()| self.news());
-        again.map_err(|error| error.to_string())
+    /// Everybody looks and decides anew, and so is the state shown anew.
+    fn look_again(&mut self) -> Result<News, StageError> {
+        self.stage.look_again()?;
+        let (step, now) = (self.now.step.take(), self.stage.world.with(Shown::at));
+        self.now = now.behind(self.before.as_ref(), step);
+        self.news()
     }
 
     /// Who is absent in the state that is shown, and since which state.
@@ -259,12 +259,11 @@ impl<'a, S: Show> Player<'a, S> {
     }
 
     /// The state that is shown, with what the team thinks in it.
-    fn news(&mut self) -> Result<News<S>, StageError> {
+    fn news(&mut self) -> Result<News, StageError> {
+        let agents = self.facts.agents.len();
         if !self.is_over {
-            self.now.state = self.stage.world.with(S::state);
-            S::assign(&mut self.now.state, &mut self.stage)?;
+            self.assign()?;
         }
-        let agents = S::agents(&self.facts);
         let (mut thoughts, mut chosen) = (vec![None; agents], vec![None; agents]);
         for note in self.stage.notes().iter().filter(|note| note.agent < agents) {
             let slots = self.stage.slots();
@@ -277,47 +276,68 @@ impl<'a, S: Show> Player<'a, S> {
             thoughts[note.agent] = Some(Thought { option: note.option.clone(), ..thought });
             chosen[note.agent] = note.action;
         }
-        let events = S::events(&self.facts, self.at, self.before.as_ref(), &self.now);
+        self.now.state.thoughts = (!self.is_over).then_some(thoughts);
+        let events = self.now.events(&self.facts, self.at, self.before.as_ref());
         let dead = (0..agents).filter(|agent| !self.stage.lives(*agent)).collect();
-        let (state, thoughts) = (self.now.state.clone(), (!self.is_over).then_some(thoughts));
-        let absent = self.absent(agents);
-        let state = Decided { state, thoughts, chosen, dead, absent };
+        let (state, absent) = (self.now.state.clone(), self.absent(agents));
+        let state = Decided { state, chosen, dead, absent };
         Ok(News { at: self.at, step: None, state, events, result: None })
+    }
+
+    /// Notes who is assigned where, and what teams are worth.
+    fn assign(&mut self) -> Result<(), StageError> {
+        let Self { stage, now, .. } = self;
+        if stage.allocation().is_empty() {
+            return Ok(());
+        }
+        now.assign(stage.allocation(), stage.is_allocated_anew());
+        let absent = (0..stage.slots()).filter(|agent| stage.is_absent(*agent));
+        let absent = absent.fold(0, |set, agent| set | 1_u64 << agent);
+        let values = now.team_values(stage.team_max(), absent, |task, teams| {
+            stage.team_values(task, teams).map(Option::unwrap_or_default)
+        });
+        now.state.values = Some(values?);
+        Ok(())
+    }
+}
+
+/// Why something cannot be, without saying so twice.
+fn reason(error: &StateError) -> String {
+    match error {
+        StateError::Impossible(reason) => reason.clone(),
+        error => error.to_string(),
     }
 }
 
 /// Worlds, each the start of the next episode of a seed.
-struct Episodes<S: Show> {
+struct Episodes {
     world: EnvironmentWorld,
     seed: u64,
     next: usize,
     /// The newest step, until it is taken.
-    stepped: Option<Stepped<S>>,
-    /// Room for a state.
-    state: RefCell<Vec<u8>>,
+    stepped: Option<Stepped>,
 }
 
-/// A step with the state that it led to.
-struct Stepped<S: Show> {
-    shown: Shown<S>,
-    /// Where the episode is over.
+/// A step, with the state that it led to where the episode is over.
+struct Stepped {
+    step: Step,
+    last: Option<Shown>,
     result: Option<&'static str>,
 }
 
-impl<S: Show> Episodes<S> {
+impl Episodes {
     /// The starts of a set that are measured on, from episode `first` of `seed` on.
-    fn new(set: &str, seed: u64, first: usize) -> Result<Self, EnvironmentError> {
-        let choice =
-            Choice { set: Some(set), split: Split::Test, instances: 1, settings: &BTreeMap::new() };
-        let environment = (S::entry().open)(&choice)?;
+    fn new(cast: &Cast, seed: u64, first: usize) -> Result<Self, EnvironmentError> {
+        let (set, settings) = (Some(&cast.set[..]), &BTreeMap::new());
+        let choice = Choice { set, split: Split::Test, instances: 1, settings };
+        let environment = (entry(cast)?.open)(&choice)?;
         let world = EnvironmentWorld::not_begun(environment, episode(seed, first).0);
-        Ok(Self { world, seed, next: first, stepped: None, state: RefCell::default() })
+        Ok(Self { world, seed, next: first, stepped: None })
     }
 
     /// Calls `with` on the running episode.
     fn with<T>(&self, with: impl FnOnce(Glance<'_>) -> T) -> T {
-        let (environment, mut state) = (self.world.environment.borrow(), self.state.borrow_mut());
-        with(Glance::at(&**environment, 0, &mut state))
+        with(Glance { worlds: &**self.world.environment.borrow(), instance: 0 })
     }
 
     /// Changes the running episode.
@@ -329,7 +349,7 @@ impl<S: Show> Episodes<S> {
     }
 }
 
-impl<S: Show> World for Episodes<S> {
+impl World for Episodes {
     fn shape(&self) -> Shape {
         self.world.shape()
     }
@@ -345,15 +365,15 @@ impl<S: Show> World for Episodes<S> {
     }
 
     fn step(&mut self, actions: &[u16]) -> Result<StepOutcome, UnavailableAction> {
-        let before = self.with(S::state);
         let outcome = self.world.step(actions)?;
         let reward = self.world.last_step().reward;
         self.stepped = Some(self.with(|seen| {
-            let state = S::state(seen);
-            let step = Some(S::step(seen, actions, reward, [&before, &state]));
             let ended = outcome.episode_ended.then(|| seen.worlds.episode(seen.instance));
-            let result = ended.map(|episode| S::result(&episode));
-            Stepped { shown: Shown { step, state }, result }
+            Stepped {
+                step: Step::at(seen, actions, reward),
+                last: ended.is_some().then(|| Shown::at(seen)),
+                result: ended.map(|episode| result(seen.worlds.spec(), &episode)),
+            }
         }));
         Ok(outcome)
     }

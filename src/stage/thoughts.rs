@@ -1,7 +1,6 @@
 //! What agents think, in numbers and letters that people read.
 
-use alloc::format;
-use alloc::string::{String, ToString};
+use alloc::string::String;
 use alloc::vec::Vec;
 
 use serde::Serialize;
@@ -77,13 +76,4 @@ pub fn rounded(value: impl Into<f64>) -> f64 {
     let rounded = libm::round(value.into() * 1e4) / 1e4;
     // Minus zero reads oddly.
     rounded + 0.0
-}
-
-/// `A` for the first of some things, `A2` for the one after `Z`.
-pub fn lettered(number: usize) -> String {
-    let letter = char::from(b'A' + (number % 26) as u8);
-    match number / 26 {
-        0 => letter.to_string(),
-        round => format!("{letter}{}", round + 1),
-    }
 }

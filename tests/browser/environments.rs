@@ -33,17 +33,17 @@ fn an_episode_of_group_matching_is_a_page() {
     let (folder, data) = page(&["scripted", "--env", RING, "--episode", "5"]);
     let (states, steps) = (list(&data["states"]), list(&data["steps"]));
     assert_eq!(states.len(), steps.len() + 1);
-    assert_eq!((list(&data["agents"]).len(), list(&data["groups"]).len()), (6, 2));
+    assert_eq!((list(&data["agents"]).len(), list(&states[0]["things"]).len()), (6, 2));
     assert_eq!(data["result"], "solved");
-    for (state, step) in states.iter().zip(steps) {
-        assert_eq!(list(&state["sees"][0]).len(), 6, "everybody sees everybody");
+    for step in steps {
         assert!(list(&step["actions"]).iter().all(|action| action.as_u64() < Some(3)));
     }
     let end = &states[steps.len()];
-    assert!(list(&end["gathered"]).iter().all(|gathered| gathered == true));
-    for group in list(&data["groups"]) {
-        let cell = |agent: &Value| &end["places"][agent.as_u64().expect("a number") as usize];
-        let cells: Vec<&Value> = list(&group["members"]).iter().map(cell).collect();
+    assert!(list(&end["things"]).iter().all(|group| group["status"] == "together"));
+    for group in list(&end["things"]) {
+        let own = list(&end["agents"]).iter().filter(|agent| agent["colour"] == group["colour"]);
+        let about = |agent: &Value| agent["about"].as_str().expect("a text").to_owned();
+        let cells: Vec<String> = own.map(about).collect();
         assert!(cells.windows(2).all(|pair| pair[0] == pair[1]), "{cells:?}");
     }
     let text = fs::read_to_string(folder.path().join("page.html")).expect("the page");
@@ -55,7 +55,7 @@ fn an_episode_of_group_matching_is_a_page() {
     assert_eq!(step(), format!("0 / {}", steps.len()));
     browser.press("\u{E010}");
     assert_eq!(step(), format!("{0} / {0}", steps.len()));
-    assert!(browser.text("#happening").contains("gathers"));
+    assert!(browser.text("#happening").contains("together"));
     browser.evaluate(
         "const scrubber = document.getElementById('scrubber'); scrubber.value = 1; \
          scrubber.dispatchEvent(new Event('input'));",
@@ -65,12 +65,11 @@ fn an_episode_of_group_matching_is_a_page() {
     let name = data["agents"][2]["name"].as_str().expect("a name");
     assert!(browser.text("#agent-title").starts_with(name));
     assert!(browser.text("#utilities").contains("taken"));
-    assert!(browser.text("#attention").contains("(itself)"));
     browser.click(".people .person:nth-child(1)");
     let name = data["agents"][0]["name"].as_str().expect("a name");
     assert!(browser.text("#agent-title").starts_with(name));
-    browser.click("#groups button:nth-child(2)");
-    assert_eq!(browser.text("#group-title"), "Group B");
+    browser.click("#things button:nth-child(2)");
+    assert_eq!(browser.text("#thing-title"), "group B");
     assert_eq!(browser.console(), Vec::<Value>::new());
 }
 

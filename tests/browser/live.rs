@@ -21,14 +21,15 @@ const TEAMS: [&str; 8] = [
 ];
 /// Teams that nobody assigns to subtasks, and what their pages show of the selected agent and of the rest.
 const UNASSIGNED: [(&str, &[&str]); 5] = [
-    ("models/crafting-iron", &["#agent-title", "#milestones", "#carried"]),
-    ("models/treasure-8", &["#agent-title", "#chances", "#team"]),
-    ("models/rover-tower-8", &["#agent-title", "#chances", "#team"]),
-    ("models/group-matching", &["#agent-title", "#utilities", "#attention", "#groups"]),
-    ("models/gridworld", &["#agent-title", "#utilities", "#team"]),
+    ("models/crafting-iron", &["#milestones", "#team"]),
+    ("models/treasure-8", &["#team"]),
+    ("models/rover-tower-8", &["#team"]),
+    ("models/group-matching", &["#attention", "#things"]),
+    ("models/gridworld", &["#team"]),
 ];
 /// What all pages show.
-const EVERYWHERE: [&str; 4] = ["#map-text", "#agent-text", "#happening", "#return"];
+const EVERYWHERE: [&str; 6] =
+    ["#map-text", "#agent-title", "#agent-text", "#utilities", "#happening", "#return"];
 /// Most steps that are compared.
 const STEPS: u64 = 40;
 const RIGHT: &str = "\u{E014}";
@@ -152,7 +153,7 @@ fn the_page_says_where_its_bits_are_others() {
 fn the_page_plays_the_episode_that_view_shows() {
     // A team of the most agents, and a smaller one.
     for number in [7, 0] {
-        let parts = ["#utilities", "#attention", "#values"];
+        let parts = ["#attention", "#things", "#values"];
         let (browser, steps) = assert_same_episode(BUNDLE, &number.to_string(), &parts);
         assert_eq!(newest(&browser), format!("{steps} / {steps}"), "nothing follows the end");
         browser.press("f");
@@ -230,15 +231,15 @@ fn a_visitor_interferes() {
     browser.press("q");
     assert_eq!(place_of(&browser, &name), after);
     // On fire.
-    browser.click("#buildings button:nth-child(1)");
-    browser.click("#set-fire");
-    assert!(browser.text("#buildings button:nth-child(1)").contains("burning"));
-    assert!(browser.text("#building-facts").contains("100 %"));
+    browser.click("#things button:nth-child(1)");
+    browser.click("#disturb");
+    assert!(browser.text("#things button:nth-child(1)").contains("burning"));
+    assert!(browser.text("#thing-text").contains("100 %"));
     // Dead, and alive again.
     browser.press("k");
     assert_eq!(count(&browser, "#map .person.dead"), 1);
     assert!(browser.text("#kill").starts_with("Revive"));
-    assert!(browser.text("#agent-text").contains("No process"), "{}", browser.text("#agent-text"));
+    assert!(browser.text("#agent-text").contains("no process"), "{}", browser.text("#agent-text"));
     assert_eq!(browser.text("#took"), "nothing to decide");
     browser.press(RIGHT);
     assert_eq!(newest(&browser), "1 / 1", "the world does not wait for the dead");
@@ -323,6 +324,8 @@ fn a_seed_and_a_step_are_shared_by_the_address() {
     wait_until("the next episode", || browser.text("#facts").contains("episode 4 of seed 5"));
     page.open(&browser, "#seed=minus&episode=-1&step=x&agent=99&allocation=nobody");
     assert!(browser.text("#facts").contains("learned allocation · episode 0 of seed 1"));
+    let misread = browser.text("#misread");
+    assert!(misread.contains("seed “minus”, which is no whole number"), "{misread}");
     assert_eq!(newest(&browser), "0 / 0");
     assert_eq!(browser.console(), Vec::<Value>::new());
 }

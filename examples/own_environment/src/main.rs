@@ -7,12 +7,15 @@ use std::error::Error;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
+use sortie_envs::random::generator;
 use sortie_envs::{Environment, conformance};
+use sortie_learn::Act;
 use sortie_learn::draft::{MethodRun, draft_method};
 use sortie_learn::play;
 use sortie_learn::run::{RunConfig, RunDescription};
 use sortie_learn::session::{EnvironmentChoice, Opening, Session};
 use sortie_learn::subtasks::RuleAllocator;
+use sortie_pages::{Canvas, Heading, Scene, TeamLog, draw, page, play};
 
 use yard::Yard;
 
@@ -38,16 +41,34 @@ fn learn(method: &str, assignments: &[&str], folder: &Path) -> Result<Session, B
     Ok(session)
 }
 
+/// The first state in the terminal, and a page of the episode that a team plays: both are drawn from `Yard::picture`.
+fn look(yard: &Yard, team: &mut dyn Act) -> Result<String, Box<dyn Error>> {
+    let (mut world, mut state) = (Yard::new(1), Vec::new());
+    world.reset(0, &mut generator(1));
+    world.save(0, &mut state);
+    let picture = &world.picture(&state);
+    let scene = Scene { spec: yard.spec(), picture, allocation: &[], actions: &[] };
+    let drawing = draw(&scene, Canvas { width: 79, lines: 20, is_unicode: true });
+    println!("{}\n{}", drawing.lines.join("\n"), drawing.legend);
+    let heading = Heading { subject: "VDN".into(), env: "yard".into(), ..Heading::default() };
+    let played = play(yard, 1, 0, TeamLog::new(team, u32::MAX, None))?;
+    Ok(page(&heading, &played))
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let yard = &Yard::new(1);
     conformance::check(yard, 1, 20)?;
     let folder = std::env::temp_dir().join(format!("own-environment-{}", std::process::id()));
-    let measured = |team: &mut dyn sortie_learn::Act| play::evaluate(yard, team, 1000, 2);
+    let measured = |team: &mut dyn Act| play::evaluate(yard, team, 1000, 2);
     let by_chance = measured(&mut play::RandomTeam::new(1))?.return_mean;
 
     let vdn = learn("vdn", SMALL, &folder.join("vdn"))?;
     let alone = measured(&mut *vdn.method().team())?.return_mean;
     println!("cleared: {by_chance:.2} at random, {alone:.2} learned by VDN");
+
+    let page = folder.join("episode.html");
+    std::fs::write(&page, look(yard, &mut *vdn.method().team())?)?;
+    println!("an episode to look at: {}", page.display());
 
     let alma = learn("alma", &[SMALL, &["allocation.interval=3"]].concat(), &folder.join("alma"))?;
     let allocated = measured(&mut *alma.method().team())?.return_mean;

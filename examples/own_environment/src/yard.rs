@@ -1,9 +1,10 @@
 //! An environment of one's own: four carts clear three sites on a track of seven fields, together rather than alone.
 
+use sortie_envs::picture::{Bar, Disc, Field, Outline};
 use sortie_envs::random::below;
 use sortie_envs::{
-    EntitySet, Environment, Episode, Observation, Random, Rewards, Rule, Shape, Spec, Split,
-    StateError, Step, StepError, UNASSIGNED, members,
+    EntitySet, Environment, Episode, Observation, Picture, Random, Rewards, Rule, Shape, Spec,
+    Split, StateError, Step, StepError, UNASSIGNED, members,
 };
 
 const CARTS: usize = 4;
@@ -218,6 +219,37 @@ impl Environment for Yard {
                 }
             }
             seen.rows.end_row();
+        }
+    }
+
+    /// Sites in the upper row with what is left there, carts in rows of their own.
+    fn picture(&self, state: &[u8]) -> Picture {
+        let track = Track::try_from(state).expect("a state of this environment");
+        let site = |site: usize| {
+            let left = f64::from(track.loads[site]) / f64::from(LOAD);
+            Disc {
+                name: ["a", "b", "c"][site].to_owned(),
+                kind: "site",
+                outline: Outline::Square,
+                place: Some([track.sites[site].into(), 0.0]),
+                bars: vec![Bar { name: "left", share: left }],
+                status: if left > 0.0 { "open" } else { "cleared" }.to_owned(),
+                task: Some(site),
+                ..Disc::default()
+            }
+        };
+        let cart = |cart: usize| Disc {
+            name: cart.to_string(),
+            kind: "cart",
+            colour: Some(cart as u8),
+            place: Some([track.carts[cart].into(), 1.0 + cart as f64]),
+            ..Disc::default()
+        };
+        Picture {
+            field: Some(Field::grid(FIELDS, 1 + CARTS)),
+            agents: (0..CARTS).map(cart).collect(),
+            things: (0..SITES).map(site).collect(),
+            ..Picture::default()
         }
     }
 

@@ -6,15 +6,12 @@
 
 extern crate alloc;
 
-mod playing;
-
 use alloc::boxed::Box;
 use alloc::string::{String, ToString};
 use alloc::vec;
 
-use sortie_stage::{Cast, golden_hash};
-
-use playing::{Playing, begin};
+use serde::Serialize;
+use sortie_stage::{Cast, News, Player, StageError, golden_hash, memory};
 
 #[cfg(target_arch = "wasm32")]
 #[global_allocator]
@@ -37,7 +34,7 @@ const REFUSED: i32 = -1;
 /// One instance of the page's program. It lives as long as the instance.
 pub struct Program {
     cast: Cast,
-    playing: Box<dyn Playing>,
+    player: Player<'static>,
     text: String,
 }
 
@@ -61,8 +58,9 @@ pub unsafe extern "C" fn open(
     // SAFETY: of a `room`, as the caller promises: it was leaked as a boxed slice of this length, and nobody else has it.
     let bytes = unsafe { Box::from_raw(core::ptr::slice_from_raw_parts_mut(bytes, length)) };
     let program = Cast::from_bytes(&bytes).ok().and_then(|cast| {
-        let playing = begin(&cast, seed, episode as usize).ok()?;
-        Some(Program { cast, playing, text: String::new() })
+        let memory = Box::leak(Box::new(memory(&cast).ok()?));
+        let player = Player::new(memory, &cast, seed, episode as usize).ok()?;
+        Some(Program { cast, player, text: String::new() })
     });
     program.map_or(core::ptr::null_mut(), |program| Box::into_raw(Box::new(program)))
 }
@@ -82,44 +80,46 @@ pub extern "C" fn text_bytes(program: &Program) -> usize {
 /// What to show first.
 #[unsafe(no_mangle)]
 pub extern "C" fn opening(program: &mut Program) -> i32 {
-    program.tell(|playing| playing.open().map(Some))
+    let opening = program.player.open();
+    program.tell(opening.map(Some).map_err(reason))
 }
 
 /// The next step.
 #[unsafe(no_mangle)]
 pub extern "C" fn step(program: &mut Program) -> i32 {
-    program.tell(|playing| playing.step())
+    let step = program.player.step();
+    program.tell(step.map_err(reason))
 }
 
 /// Puts an agent, or a thing behind the agents, elsewhere.
 #[unsafe(no_mangle)]
 pub extern "C" fn place(program: &mut Program, entity: usize, x: f64, y: f64) -> i32 {
-    program.tell(|playing| playing.place(entity, [x, y]).map(Some))
+    program.change(|player| player.place(entity, [x, y]))
 }
 
 /// Does to a thing what may come about by chance as well: sets a building on fire.
 #[unsafe(no_mangle)]
 pub extern "C" fn disturb(program: &mut Program, thing: usize) -> i32 {
-    program.tell(|playing| playing.disturb(thing).map(Some))
+    program.change(|player| player.disturb(thing))
 }
 
 /// Ends an agent's process, or starts one.
 #[unsafe(no_mangle)]
 pub extern "C" fn kill_or_revive(program: &mut Program, agent: usize) -> i32 {
-    program.tell(|playing| playing.kill_or_revive(agent).map(Some))
+    program.change(|player| player.kill_or_revive(agent))
 }
 
 /// Has somebody else allocate.
 #[unsafe(no_mangle)]
 pub extern "C" fn choose_allocator(program: &mut Program, choice: usize) -> i32 {
-    program.tell(|playing| playing.choose_allocator(choice).map(Some))
+    program.change(|player| player.choose_allocator(choice))
 }
 
 /// Repeats an agent's decision so many times, for whoever takes the time.
 #[unsafe(no_mangle)]
 pub extern "C" fn repeat_decision(program: &mut Program, agent: usize, times: u32) -> i32 {
     for _ in 0..times {
-        match program.playing.repeat_decision(agent) {
+        match program.player.repeat_decision(agent) {
             Ok(true) => {}
             Ok(false) => return NOTHING,
             Err(error) => return program.refuse(error.to_string()),
@@ -137,7 +137,7 @@ pub extern "C" fn golden(program: &Program) -> u64 {
 /// Plays on unseen; how many decisions have been counted, `most` at most. Negative where a role ended.
 #[unsafe(no_mangle)]
 pub extern "C" fn rehearse(program: &mut Program, most: u32) -> i32 {
-    match program.playing.rehearse(most.into()) {
+    match program.player.rehearse(most.into()) {
         Ok(decisions) => decisions as i32,
         Err(error) => program.refuse(error.to_string()),
     }
@@ -146,21 +146,28 @@ pub extern "C" fn rehearse(program: &mut Program, most: u32) -> i32 {
 /// The hash of the utilities that [`rehearse`] counted.
 #[unsafe(no_mangle)]
 pub extern "C" fn rehearsed(program: &Program) -> u64 {
-    program.playing.rehearsed()
+    program.player.rehearsed()
+}
+
+fn reason(error: StageError) -> String {
+    error.to_string()
 }
 
 impl Program {
+    fn change(&mut self, change: impl FnOnce(&mut Player<'static>) -> Result<News, String>) -> i32 {
+        let news = change(&mut self.player);
+        self.tell(news.map(Some))
+    }
+
     /// Keeps what is to be told.
-    fn tell(
-        &mut self,
-        told: impl FnOnce(&mut dyn Playing) -> Result<Option<String>, String>,
-    ) -> i32 {
-        match told(&mut *self.playing) {
+    fn tell(&mut self, told: Result<Option<impl Serialize>, String>) -> i32 {
+        match told.map(|told| told.map(|told| serde_json::to_string(&told))) {
             Ok(None) => NOTHING,
-            Ok(Some(json)) => {
+            Ok(Some(Ok(json))) => {
                 self.text = json;
                 TOLD
             }
+            Ok(Some(Err(error))) => self.refuse(error.to_string()),
             Err(why) => self.refuse(why),
         }
     }

@@ -9,12 +9,13 @@ use sortie_core::wire::{AllocMsg, StatMsg};
 use sortie_core::{NO_ACTION, UNASSIGNED, limits};
 use sortie_envs::Episode;
 use sortie_ipc::{Domain, Stop};
+use sortie_pages::Scene;
 
 use super::figures::Figures;
 use super::picture::{self, Keyboard, Picture, Screen};
 use crate::failure::Failure;
 use crate::output::tell;
-use crate::views::{Scene, View, view_of};
+use crate::views::outcome;
 use crate::worlds::tally::Tally;
 use crate::worlds::world::{EnvironmentWorld, SharedEnvironment, SharedTally};
 
@@ -35,7 +36,6 @@ pub(super) struct Onlooker {
     /// `None` = without end.
     episodes: Option<usize>,
     environment: SharedEnvironment,
-    view: &'static dyn View,
     /// The state that is drawn.
     state: Vec<u8>,
     tally: SharedTally,
@@ -62,7 +62,6 @@ impl Onlooker {
             display,
             episodes,
             environment: world.environment.clone(),
-            view: view_of(world.environment.borrow().spec().name),
             state: Vec::new(),
             tally: world.tally.clone(),
             earlier: world.tally.borrow().episodes,
@@ -112,7 +111,7 @@ impl Onlooker {
         let picture = Picture {
             scene: Scene {
                 spec,
-                state: &self.state,
+                picture: &environment.picture(&self.state),
                 allocation: &self.allocation[..agents],
                 actions: &self.actions[..agents],
             },
@@ -123,7 +122,7 @@ impl Onlooker {
             tick: self.figures.tick.percentiles(),
             hint,
         };
-        self.screen.show(|canvas| picture::lines(&picture, self.view, canvas));
+        self.screen.show(|canvas| picture::lines(&picture, canvas));
     }
 
     /// Forgets what is kept for a next world.
@@ -175,7 +174,7 @@ impl WorldObserver for Onlooker {
             let number = self.earlier + episode as usize + 1;
             let environment = self.environment.borrow();
             let (spec, of) = (environment.spec(), self.episodes);
-            let what = self.view.outcome(spec, finished);
+            let what = outcome(spec, finished);
             tell!("{}", episode_line((number, of), finished, spec.has_success, &what));
         }
     }

@@ -14,10 +14,10 @@ use rustix::termios::{
     LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcgetpgrp, tcsetattr,
 };
 use sortie_ipc::Stop;
+use sortie_pages::{Canvas, Scene, draw};
 
 use crate::latency::Percentiles;
 use crate::terminal;
-use crate::views::{Canvas, Scene, View};
 use crate::worlds::tally::Tally;
 
 /// All that one picture shows.
@@ -35,10 +35,10 @@ pub(super) struct Picture<'a> {
 }
 
 /// The picture as lines of text, without line ends.
-pub(super) fn lines(picture: &Picture<'_>, view: &dyn View, canvas: Canvas) -> Vec<String> {
+pub(super) fn lines(picture: &Picture<'_>, canvas: Canvas) -> Vec<String> {
     // Above and below: headline and hint.
     let room = Canvas { lines: canvas.lines.saturating_sub(2), ..canvas };
-    let drawing = view.draw(&picture.scene, room);
+    let drawing = draw(&picture.scene, room);
     let gap = if drawing.legend.is_empty() { "" } else { "    " };
     let mut lines = vec![headline(picture)];
     lines.extend(drawing.lines);
@@ -248,7 +248,6 @@ mod tests {
 
     use super::*;
     use crate::environment::ScenarioSetName;
-    use crate::views::view_of;
 
     #[test]
     fn every_environment_is_drawn_between_the_headline_and_the_hint() {
@@ -262,7 +261,9 @@ mod tests {
             let agents = world.spec().shape.agents;
             let (allocation, actions) = (vec![0; agents], vec![0; agents]);
             let spec = world.spec();
-            let scene = Scene { spec, state: &state, allocation: &allocation, actions: &actions };
+            let picture = world.picture(&state);
+            let scene =
+                Scene { spec, picture: &picture, allocation: &allocation, actions: &actions };
             let mut tally = Tally::default();
             (tally.episodes, tally.solved, tally.returns) = (1, 1, 2.5);
             let picture = Picture {
@@ -275,7 +276,7 @@ mod tests {
                 hint: "q quits",
             };
             let canvas = Canvas { width: 79, lines: 23, is_unicode: false };
-            let shown = lines(&picture, view_of(entry.name), canvas);
+            let shown = lines(&picture, canvas);
             let came = if spec.has_success { "solved 1 of 1" } else { "mean return 2.5 of 1" };
             let headline =
                 format!("episode 2 of 20, step   7   {came}   tick p50 20 us, p99 80 us");

@@ -11,7 +11,7 @@ use super::figures::{Figures, Since};
 use super::onlooker::Onlooker;
 use crate::latency::{Latency, Percentiles};
 use crate::output::{Table, plural, print_json, say};
-use crate::views::view_of;
+use crate::views;
 use crate::worlds::tally::{Tally, TeamTally};
 
 /// The summary of a run; scripts rely on its names.
@@ -99,7 +99,7 @@ impl Report {
         setup: Setup,
     ) -> Self {
         let Tally { episodes, solved, returns, .. } = *tally;
-        let own = view_of(spec.name).figures(spec, tally);
+        let own = views::figures(spec, tally);
         Self {
             episodes,
             episodes_of_dead_worlds: earlier,

@@ -1,10 +1,8 @@
 //! An agent that runs options: what it remembers is its own process's.
 
 use serde_json::Value;
-use sortie_envs::crafting::Crafting;
 
-use super::{json, stepped, told};
-use crate::milestones::Board;
+use super::{json, place_of, stepped, told};
 use crate::{Cast, Player, golden_hash};
 
 const PLANS: [&str; 3] = ["agent-controller", "agent-meta", "agent-affordance"];
@@ -13,7 +11,7 @@ fn cast() -> Cast {
     super::cast("crafting-iron", "iron", &PLANS)
 }
 
-fn with<T>(play: impl FnOnce(&mut Player<'_, Board<Crafting>>, Value) -> T) -> T {
+fn with<T>(play: impl FnOnce(&mut Player<'_>, Value) -> T) -> T {
     super::with(&cast(), 0, play)
 }
 
@@ -38,9 +36,10 @@ fn options_go_on_from_step_to_step_however_often_the_agent_looks() {
     with(|player, opening| {
         assert_eq!(opening["state"], alone[0]["state"]);
         for wanted in &alone[1..40] {
-            let at = wanted["state"]["at"].as_u64().expect("a cell");
             assert_eq!(stepped(player)["state"], wanted["state"]);
-            let again = told(player.place(0, [(at % 12) as f64, (at / 12) as f64]));
+            let place = place_of(wanted, "agents", 0);
+            let place = [0, 1].map(|axis| place[axis].as_f64().expect("a number"));
+            let again = told(player.place(0, place));
             assert_eq!(again["state"], wanted["state"]);
             assert_eq!(player.repeat_decision(0), Ok(true));
         }
@@ -72,7 +71,7 @@ fn utilities_are_those_of_the_controller() {
     let cast = cast();
     let golden = golden_hash(&cast).expect("plans that fit");
     let hash = |most| {
-        super::with::<Board<Crafting>, _>(&cast, 0, |player, _| {
+        super::with(&cast, 0, |player, _| {
             while player.rehearse(most).expect("it plays") < most {}
             player.rehearsed()
         })

@@ -10,9 +10,7 @@ use serde::Serialize;
 use serde_json::{Value, to_value};
 use sortie_bundle::Bundle;
 
-use crate::{
-    AllocatorCast, Cast, GoldenObservation, Memory, News, OptionSettings, Player, Show, memory,
-};
+use crate::{AllocatorCast, Cast, GoldenObservation, Memory, News, OptionSettings, Player, memory};
 
 /// A shipped team as a page brings it along, with the plans that lie beside its bundle.
 fn cast(model: &str, set: &str, plans: &[&str]) -> Cast {
@@ -48,15 +46,11 @@ fn cast(model: &str, set: &str, plans: &[&str]) -> Cast {
 }
 
 /// Plays an episode of seed 1 as far as `play` says.
-fn with<S: Show, T>(
-    cast: &Cast,
-    episode: usize,
-    play: impl FnOnce(&mut Player<'_, S>, Value) -> T,
-) -> T {
+fn with<T>(cast: &Cast, episode: usize, play: impl FnOnce(&mut Player<'_>, Value) -> T) -> T {
     let bytes = cast.to_bytes().expect("there is room");
     assert_eq!(Cast::from_bytes(&bytes).as_ref(), Ok(cast));
-    let mut memory: Memory = memory::<S>(cast).expect("plans that fit");
-    let mut player = Player::<S>::new(&mut memory, cast, 1, episode).expect("the team fits");
+    let mut memory: Memory = memory(cast).expect("plans that fit");
+    let mut player = Player::new(&mut memory, cast, 1, episode).expect("the team fits");
     let opening = json(&player.open().expect("it begins"));
     play(&mut player, opening)
 }
@@ -65,10 +59,15 @@ fn json(told: &impl Serialize) -> Value {
     to_value(told).expect("JSON")
 }
 
-fn told<S: Show>(news: Result<News<S>, String>) -> Value {
+fn told(news: Result<News, String>) -> Value {
     json(&news.expect("it is done"))
 }
 
-fn stepped<S: Show>(player: &mut Player<'_, S>) -> Value {
+fn stepped(player: &mut Player<'_>) -> Value {
     json(&player.step().expect("the team plays").expect("there is a step"))
+}
+
+/// Where an agent or a thing is.
+fn place_of(news: &Value, of: &str, number: usize) -> Value {
+    news["state"][of][number]["place"].clone()
 }

@@ -3,8 +3,7 @@
 use serde_json::{Value, to_value};
 use sortie_attention::{AttentionLayers, Layer, Matrix};
 
-use super::{stepped, told};
-use crate::save_the_city::City;
+use super::{place_of, stepped, told};
 use crate::{Cast, Player, golden_hash, memory};
 
 const ALLOCATORS: [&str; 4] = ["learned", "coordinated", "heuristic", "random"];
@@ -23,7 +22,7 @@ fn cast() -> Cast {
     cast
 }
 
-fn with<T>(episode: usize, play: impl FnOnce(&mut Player<'_, City>, Value) -> T) -> T {
+fn with<T>(episode: usize, play: impl FnOnce(&mut Player<'_>, Value) -> T) -> T {
     super::with(&cast(), episode, play)
 }
 
@@ -60,7 +59,7 @@ fn attention_is_told_of_those_who_exist() {
     // Four agents in a set of up to five: frames have a row between them and the buildings.
     with(0, |player, opening| {
         let [agents, buildings] =
-            ["agents", "buildings"].map(|kind| opening[kind].as_array().unwrap().len());
+            ["agents", "things"].map(|kind| opening["state"][kind].as_array().unwrap().len());
         assert_eq!(agents, 4);
         let news = stepped(player);
         for (agent, thought) in news["state"]["thoughts"].as_array().unwrap().iter().enumerate() {
@@ -122,22 +121,20 @@ fn what_is_changed_is_seen_at_once() {
     with(7, |player, opening| {
         let chosen = &opening["state"]["chosen"];
         let moved = told(player.place(0, [0.0, 0.0]));
-        assert_eq!(moved["state"]["places"][0], to_value([0, 0]).unwrap());
+        assert_eq!(place_of(&moved, "agents", 0), to_value([0.0, 0.0]).unwrap());
         assert_eq!(moved["state"]["decided"], true, "the allocator looks as well");
         assert_ne!(moved["state"]["chosen"], *chosen);
         assert!(player.place(1, [-1.0, 0.0]).is_err());
         assert!(
             player.place(1, [0.0, 0.0]).err().is_some_and(|why| why.contains("shares its cell"))
         );
-        let buildings = opening["buildings"].as_array().unwrap().len();
-        let cold = (0..buildings)
-            .find(|at| opening["state"]["fire"][*at] == 0.0)
-            .expect("one without fire");
+        let buildings = opening["state"]["things"].as_array().unwrap().len();
+        let fire =
+            |news: &Value, at: usize| news["state"]["things"][at]["bars"][1]["share"].clone();
+        let cold = (0..buildings).find(|at| fire(&opening, *at) == 0.0).expect("one without fire");
         let burning = told(player.disturb(cold));
-        assert_eq!(burning["state"]["fire"][cold], 1.0);
-        assert!(
-            burning["events"].as_array().unwrap().iter().any(|event| event["building"] == cold)
-        );
+        assert_eq!(fire(&burning, cold), 1.0);
+        assert_eq!(burning["state"]["things"][cold]["status"], "burning");
         assert!(player.disturb(99).is_err());
         // Who allocates shows in who is sent where.
         let sent: Vec<Value> = (0..3)
@@ -166,8 +163,8 @@ fn what_is_changed_is_seen_at_once() {
 fn utilities_are_counted_in_the_order_of_the_episodes() {
     let cast = cast();
     let hash = |seed, most| {
-        let mut memory = memory::<City>(&cast).expect("plans that fit");
-        let mut player = Player::<City>::new(&mut memory, &cast, seed, 0).expect("the team fits");
+        let mut memory = memory(&cast).expect("plans that fit");
+        let mut player = Player::new(&mut memory, &cast, seed, 0).expect("the team fits");
         while player.rehearse(most).expect("it plays") < most {}
         assert_eq!(player.rehearse(most), Ok(most));
         player.rehearsed()

@@ -8,12 +8,13 @@ use sortie_methods::METHODS;
 
 use super::tokens::tokens;
 
-/// Files that name each environment so many times: as a module and in a registry.
+/// Files that name each environment so many times at most: as a module and in a registry.
 const REGISTRIES: [(&str, usize); 4] = [
-    ("src/stage/lib.rs", 1),
     ("trainer/envs/src/lib.rs", 1),
     ("trainer/envs/src/registry.rs", 1),
-    ("src/cli/views/mod.rs", 2),
+    // One environment has recordings that are played again, and reports of two count what was reached.
+    ("src/cli/views/mod.rs", 3),
+    ("src/cli/views/figures.rs", 3),
 ];
 
 /// Folders of sources that know environments by their seam alone.

@@ -18,20 +18,19 @@ fn options_and_what_they_reach_are_shown() {
     let option = &data["states"][0]["thoughts"][0]["option"];
     let name = |milestone: &Value| {
         let place = milestone.as_u64().expect("a milestone") as usize;
-        data["milestones"][place].as_str().expect("a name").replace('_', " ")
+        data["milestones"][place].as_str().expect("a name").to_owned()
     };
-    let title = format!("goes for {}", name(&option["goal"]));
-    assert_eq!(browser.text("#agent-title"), title);
+    // Nothing is carried at first.
+    let told = browser.text("#agent-text");
+    let goal = format!("carries nothing; goes for {}, step 1 of", name(&option["goal"]));
+    assert!(told.starts_with(&goal), "{told}");
+    assert!(browser.text("#milestones tr.goal").starts_with(&name(&option["goal"])));
     browser.evaluate(&format!("go({at})"));
     let happens = first["text"].as_str().expect("a text");
     assert_eq!(browser.text("#happening"), happens);
-    // Nothing is carried at first, and zeros are shown as such.
-    browser.evaluate("go(0)");
-    let counts =
-        "return [...document.querySelectorAll('#carried td')].map((cell) => cell.textContent)";
-    assert!(list(&browser.evaluate(counts)).iter().all(|count| count == "0"));
     // No two kinds of objects have the same sign, and names of lanes are all to be read.
-    let signs = "return [...document.querySelectorAll('#legend li')].map((entry) => entry.textContent.slice(0, 2))";
+    let signs =
+        "return [...document.querySelectorAll('#legend .sign')].map((sign) => sign.textContent)";
     let signs = list(&browser.evaluate(signs)).clone();
     let unlike: std::collections::BTreeSet<&str> = signs.iter().filter_map(Value::as_str).collect();
     assert!(signs.len() > 3 && unlike.len() == signs.len(), "{signs:?}");

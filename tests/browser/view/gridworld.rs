@@ -22,7 +22,9 @@ fn a_run_shows_its_maze_its_visits_and_what_its_heads_would_pay() {
     let page = explored();
     let data = page.data();
     let states = list(&data["states"]);
-    let map: String = list(&data["map"]).iter().map(|row| row.as_str().expect("a row")).collect();
+    let cells = list(&states[0]["cells"]).iter().map(|cell| &cell[1]);
+    let walls: Vec<usize> =
+        cells.filter(|cell| cell["kind"] == "wall").map(|wall| cell_of(&wall["place"])).collect();
     for agent in 0..2 {
         let visits: Vec<f64> = list(&data["visits"][agent]).iter().map(number).collect();
         // A visit for each of 60,000 steps, and for each start of an episode.
@@ -31,8 +33,7 @@ fn a_run_shows_its_maze_its_visits_and_what_its_heads_would_pay() {
             "{}",
             visits.iter().sum::<f64>()
         );
-        let wall = map.bytes().zip(&visits).find(|(sign, visits)| *sign == b'#' && **visits > 0.0);
-        assert_eq!(wall, None, "nobody was in a wall");
+        assert!(walls.iter().all(|wall| visits[*wall] == 0.0), "nobody was in a wall");
     }
     for (state, step) in states.iter().zip(list(&data["steps"])) {
         for (agent, thought) in list(&state["thoughts"]).iter().enumerate() {
@@ -50,9 +51,9 @@ fn a_run_shows_its_maze_its_visits_and_what_its_heads_would_pay() {
     let browser = Browser::start();
     browser.open(&page.file());
     browser.press("1");
-    assert_eq!(browser.text("#agent-title"), "agent 1");
+    assert_eq!(browser.text("#agent-title"), "1, agent");
     browser.click(".people .person:nth-child(1)");
-    assert_eq!(browser.text("#agent-title"), "agent 0");
+    assert_eq!(browser.text("#agent-title"), "0, agent");
     assert!(browser.text("#utilities").contains("taken"));
     assert!(browser.text("#heads tr:nth-child(2) th").contains("minimum"));
     assert!(browser.text("#heads tr:nth-child(6) th").contains("in use"));
@@ -64,9 +65,14 @@ fn a_run_shows_its_maze_its_visits_and_what_its_heads_would_pay() {
     assert_eq!(browser.console(), Vec::<Value>::new());
 }
 
+/// The number of the cell at a place.
+fn cell_of(place: &Value) -> usize {
+    20 * number(&place[1]) as usize + number(&place[0]) as usize
+}
+
 /// What heads pay is what follows from visits: the independent one for cells that were visited rarely.
 fn assert_heads_pay(data: &Value, state: &Value, agent: usize, heads: &[Value]) {
-    let cell = state["cells"][agent].as_u64().expect("a cell") as usize;
+    let cell = cell_of(&state["agents"][agent]["place"]);
     let novelty = |agent: usize| number(&data["visits"][agent][cell]).max(1.0).powf(-0.7);
     let pays = |name: &str| {
         heads.iter().find(|head| head["name"] == name).map(|head| number(&head["pays"]))
@@ -80,32 +86,38 @@ fn assert_heads_pay(data: &Value, state: &Value, agent: usize, heads: &[Value]) 
 }
 
 #[test]
-fn finds_falls_and_doors_are_shown() {
+fn finds_and_doors_are_shown() {
     let page = Page::of(&["scripted", "--env", "gridworld/flip-4"]);
     let data = page.data();
     let (states, events) = (list(&data["states"]), list(&data["events"]));
-    let found = events.iter().find(|event| event["kind"] == "found").expect("a treasure is found");
+    let found = events.iter().find(|event| event["of"].is_u64()).expect("a treasure is found");
     let [at, of] = ["at", "of"].map(|key| found[key].as_u64().expect("a number") as usize);
-    assert_ne!(states[at - 1]["found"][of], states[at]["found"][of]);
-    let tier = events.iter().find(|event| event["kind"] == "tier").expect("a tier is finished");
-    let opens = tier["at"].as_u64().expect("a state");
-    for fall in events.iter().filter(|event| event["kind"] == "fall") {
-        let [at, of] = ["at", "of"].map(|key| fall[key].as_u64().expect("a number") as usize);
-        assert_eq!(states[at]["cells"][of], states[0]["cells"][of], "who falls starts again");
-    }
+    let status = |at: usize| states[at]["agents"][of]["status"].as_str().expect("a status");
+    assert!(status(at - 1) != status(at) && status(at).starts_with("found"));
+    assert!(found["text"].as_str().is_some_and(|text| text.ends_with(status(at))), "{found}");
+    let tiers = |at: usize| number(&states[at]["metrics"][1]);
+    let opens =
+        (1..states.len()).find(|at| tiers(*at) > tiers(at - 1)).expect("a tier is finished");
 
     let browser = Browser::start();
     browser.open(&page.file());
-    let open_doors = |at: u64| {
+    let count = |at: usize, kind: &str| {
         browser.evaluate(&format!("go({at})"));
-        browser.evaluate("return document.querySelectorAll('#map .door.open').length")
+        let cells = "return cellsOf(view.at).filter(({ kind }) => kind === ";
+        browser.evaluate(&format!("{cells}'{kind}').length")).as_u64().expect("a number")
     };
-    let doors = browser.evaluate("return document.querySelectorAll('#map .door').length");
-    assert_eq!((open_doors(opens - 1), open_doors(opens)), (0.into(), doors));
-    assert!(browser.text("#utilities-text").contains("not known"));
+    let doors = count(opens - 1, "door");
+    assert!(doors > 0 && count(opens - 1, "open door") == 0);
+    assert_eq!(count(opens, "door") + count(opens, "open door"), doors);
+    assert!(count(opens, "open door") > 0);
+    // The picture goes back as well as on.
+    assert_eq!(count(0, "open door"), 0);
+    assert!(browser.text("#utilities-text").contains("none known"));
     assert_eq!(browser.evaluate("return document.getElementById('heads').hidden"), true);
-    let pale = browser.evaluate("return document.querySelectorAll('#map .treasure.found').length");
-    let found = list(&states[opens as usize]["found"]).iter().filter_map(Value::as_u64);
-    assert_eq!(pale, found.fold(0, |all, own| all | own).count_ones());
+    let letters = |agent: &Value| agent["status"].as_str().expect("a status")[6..].to_owned();
+    let all: Vec<String> = list(&states[opens]["agents"]).iter().map(letters).collect();
+    let all: std::collections::BTreeSet<char> =
+        all.iter().filter(|found| *found != "nothing").flat_map(|found| found.chars()).collect();
+    assert_eq!(count(opens, "treasure, found"), all.len() as u64);
     assert_eq!(browser.console(), Vec::<Value>::new());
 }

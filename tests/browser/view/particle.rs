@@ -26,7 +26,7 @@ fn learned_pairs(folder: &Path) -> String {
 }
 
 #[test]
-fn a_run_shows_the_plane_its_chances_and_whom_critics_look_at() {
+fn a_run_shows_the_plane_its_scores_and_whom_critics_look_at() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let page = Page::of(&[&learned_pairs(folder.path())]);
     let data = page.data();
@@ -43,7 +43,9 @@ fn a_run_shows_the_plane_its_chances_and_whom_critics_look_at() {
     }
     assert!(states[25]["thoughts"].is_null(), "nobody acts in the final state");
     // What a tower does in a step it has said in the state behind it.
-    assert_eq!(data["steps"][3]["actions"][2], states[4]["says"][2]);
+    let said = format!("said {}", data["steps"][3]["actions"][2]);
+    let about = states[4]["agents"][2]["about"].as_str().expect("a text");
+    assert!(about.ends_with(&said), "{about}");
 
     let browser = Browser::start();
     browser.open(&page.file());
@@ -52,13 +54,13 @@ fn a_run_shows_the_plane_its_chances_and_whom_critics_look_at() {
     assert!(browser.text("#agent-title").contains("tower"));
     browser.click(".people .person:nth-child(1)");
     assert!(browser.text("#agent-title").contains("rover"));
-    let partner = data["agents"][0]["partner"].to_string();
+    let pair = list(&states[0]["links"]).iter().find(|link| link["name"] == "pair");
+    let partner = &pair.expect("a pair")["to"];
     assert!(browser.text("#agent-text").contains(&format!("led by {partner}")));
-    assert!(browser.text("#chances").contains("taken"));
-    assert!(browser.text("#attention").contains("(partner)"));
-    assert_percents(&browser, "#chances td.number", 1);
+    assert!(browser.text("#utilities").contains("taken"));
+    assert!(browser.text("#attention").contains(&format!("{partner} (pair)")));
     assert_percents(&browser, "#looks td.heat", 4);
-    let lines = browser.evaluate("return document.querySelectorAll('#map .looks line').length");
+    let lines = browser.evaluate("return document.querySelectorAll('#map .attention').length");
     assert_eq!(lines, 3, "to each of the others");
     browser.click("#looks tr:nth-child(4) th");
     assert_title(&browser, &data, 2);
@@ -82,28 +84,30 @@ fn treasures_are_shown_where_they_lie_and_in_whose_hands() {
     let page = Page::of(&["scripted", "--env", "particle/treasure-8"]);
     let data = page.data();
     let events = list(&data["events"]);
-    let taken = events.iter().find(|event| event["kind"] == "taken").expect("somebody takes one");
+    let tells = |event: &&Value, what: &str| event["text"].as_str().unwrap().contains(what);
+    let taken = events.iter().find(|event| tells(event, "holds a")).expect("somebody takes one");
     let [at, of] = ["at", "of"].map(|key| taken[key].as_u64().expect("a number") as usize);
     let states = list(&data["states"]);
-    assert!(states[at - 1]["holds"][of].is_null() && states[at]["holds"][of].is_u64());
-    assert!(events.iter().any(|event| event["kind"] == "delivered"));
+    assert_eq!(states[at - 1]["agents"][of]["status"], "holds nothing");
+    assert_eq!(states[at]["agents"][of]["status"], "holds a");
+    assert!(events.iter().any(|event| tells(&event, "holds nothing")), "and delivers it");
 
     let browser = Browser::start();
     browser.open(&page.file());
     let things = |at: usize| {
         browser.evaluate(&format!("location.hash = '#{at},{of}'"));
         wait_until("the step is shown", || browser.text("#step").starts_with(&format!("{at} /")));
-        browser.evaluate("return document.querySelectorAll('#map .thing').length")
+        browser.evaluate("return document.querySelectorAll('#map .thing .body').length")
     };
-    let lie =
-        |at: usize| list(&states[at]["things"]).iter().filter(|place| !place.is_null()).count();
+    let lies = |thing: &&Value| !thing["place"].is_null();
+    let lie = |at: usize| list(&states[at]["things"]).iter().filter(lies).count();
     assert_eq!(things(0), lie(0));
     assert_eq!(things(at), lie(at));
     assert!(lie(at) < lie(0), "what was taken is gone");
     assert!(browser.text("#agent-text").contains("holds"));
     let name = browser.text(&format!(".people .person:nth-child({})", of + 1));
-    assert!(["a", "b"].iter().any(|kind| name == format!("{of}{kind}")), "{name}");
-    assert!(browser.text("#chances-text").contains("no scores"));
+    assert_eq!(name, format!("{of}a"));
+    assert!(browser.text("#utilities-text").contains("none known"));
     assert_eq!(browser.evaluate("return document.getElementById('looks').hidden"), true);
     assert_eq!(browser.console(), Vec::<Value>::new());
 }

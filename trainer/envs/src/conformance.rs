@@ -203,8 +203,25 @@ impl Laws {
                 format!("agent {agent} is told of entity {told:?}, which it does not observe")
             })?;
         }
+        self.check_picture(state)?;
         self.check_relations(state)?;
         self.check_parts(state)
+    }
+
+    /// A picture has the agents that exist, things of subtasks that exist, and links between what it has.
+    fn check_picture(&self, state: &[u8]) -> Result<(), String> {
+        let picture = self.played.picture(state);
+        let (agents, shown) = (self.seen.agents(), picture.agents.len());
+        require(shown == agents, || format!("{shown} agents are shown of {agents}"))?;
+        let tasks = self.spec.shape.tasks;
+        let unknown = picture.things.iter().find(|thing| thing.task.is_some_and(|it| it >= tasks));
+        require(unknown.is_none(), || format!("{unknown:?} stands for no subtask"))?;
+        let is_known = |entity: usize| picture.entity(entity).is_some();
+        let loose = picture.links.iter().find(|link| !is_known(link.from) || !is_known(link.to));
+        require(loose.is_none(), || format!("{loose:?} links what is not there"))?;
+        let shares = picture.agents.iter().chain(&picture.things).flat_map(|disc| &disc.bars);
+        let wrong = shares.copied().find(|bar| !(0.0..=1.0).contains(&bar.share));
+        require(wrong.is_none(), || format!("{wrong:?} is no share"))
     }
 
     /// Every entity stands somehow to every subtask.

@@ -7,6 +7,7 @@ use core::any::Any;
 use core::fmt;
 
 use crate::observation::{AgentSet, EntitySet, Observation, members};
+use crate::picture::Picture;
 use crate::random::Random;
 use crate::rows::SparseRows;
 use crate::spec::Spec;
@@ -220,14 +221,30 @@ pub trait Environment: Any + Send + Sync {
     /// entities that exist. Turn 0 changes nothing.
     fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation);
 
-    /// Puts an entity elsewhere between two steps: agents come first, things behind them. A place is a column and a row,
-    /// from 0, or a point of a plane, as the environment's own states have it.
+    /// What a state looks like, for whoever shows it: without a picture of its own what is observed of each entity.
+    fn picture(&self, state: &[u8]) -> Picture {
+        let mut seen = Observation::default();
+        self.observe(state, 0, EntitySet::MAX, &mut seen);
+        Picture::of_observation(self.spec(), &seen)
+    }
+
+    /// Puts an entity elsewhere between two steps: agents come first, things behind them. A place is one of the
+    /// [`picture`](Self::picture).
     ///
     /// # Errors
     /// It cannot be there; nothing has changed then.
     fn place(&mut self, instance: usize, entity: usize, place: [f64; 2]) -> Result<(), StateError> {
         let _ = (instance, entity, place);
         Err(StateError::Impossible("nothing here can be put elsewhere".into()))
+    }
+
+    /// Does to a thing, by its number behind the agents, what may come about by chance as well.
+    ///
+    /// # Errors
+    /// Nothing comes of it; nothing has changed then.
+    fn disturb(&mut self, instance: usize, thing: usize) -> Result<(), StateError> {
+        let _ = (instance, thing);
+        Err(StateError::Impossible("nothing can happen to it".into()))
     }
 
     /// What the running or last episode has come to.

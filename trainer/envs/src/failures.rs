@@ -6,6 +6,7 @@ use alloc::vec::Vec;
 
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
 use crate::observation::{ActionSet, AgentSet, EntitySet, Observation, members};
+use crate::picture::Picture;
 use crate::random::{Random, chance};
 use crate::rows::SparseRows;
 use crate::spec::Spec;
@@ -187,8 +188,16 @@ impl Environment for Failing {
         }
     }
 
+    fn picture(&self, state: &[u8]) -> Picture {
+        self.inner.picture(self.own(state))
+    }
+
     fn place(&mut self, instance: usize, entity: usize, place: [f64; 2]) -> Result<(), StateError> {
         self.inner.place(instance, entity, place)
+    }
+
+    fn disturb(&mut self, instance: usize, thing: usize) -> Result<(), StateError> {
+        self.inner.disturb(instance, thing)
     }
 
     fn episode(&self, instance: usize) -> Episode {

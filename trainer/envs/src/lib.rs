@@ -41,6 +41,7 @@ pub mod group_matching;
 pub mod milestones;
 pub mod observation;
 pub mod particle;
+pub mod picture;
 pub mod random;
 #[cfg(feature = "std")]
 mod recorded;
@@ -56,6 +57,7 @@ pub use environment::{Environment, Episode, Split, StateError, Step, StepError};
 pub use failures::Failing;
 pub use frame::{Frame, FrameError, FrameReader};
 pub use observation::{ActionSet, AgentSet, EntitySet, Observation, members};
+pub use picture::Picture;
 pub use random::Random;
 pub use registry::{Choice, ENVIRONMENTS, Entry, EnvironmentError, open};
 pub use rows::SparseRows;

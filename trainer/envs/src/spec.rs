@@ -141,6 +141,8 @@ pub struct Spec {
     pub signs: Vec<Sign>,
     /// Who earns rewards besides the team.
     pub rewards: Rewards,
+    /// What can be [done to things](crate::Environment::disturb), in words; nothing where nothing can.
+    pub disturbance: &'static str,
     /// Symmetries of the rules, the one that changes nothing included.
     pub turns: usize,
     /// The rules that assign agents to subtasks, the usual one first.
@@ -149,9 +151,6 @@ pub struct Spec {
     pub relations: usize,
     /// Most features of one row that differ from zero.
     pub row_entries: usize,
-    /// Rows of a map that no step changes, a character for each cell, as the environment writes them; empty where there is
-    /// none.
-    pub map: Vec<String>,
     /// Most bytes of a state.
     pub state_bytes: usize,
     /// Steps after which an episode is over, however it stands.
@@ -179,11 +178,11 @@ impl Default for Spec {
             milestones: Vec::new(),
             signs: Vec::new(),
             rewards: Rewards::default(),
+            disturbance: "",
             turns: 1,
             rules: &[],
             relations: 0,
             row_entries: 0,
-            map: Vec::new(),
             state_bytes: 0,
             episode_limit: u32::MAX,
         }

@@ -1,85 +1,175 @@
-//! SaveTheCity as it is shown.
+//! Recorded episodes of SaveTheCity, which are played again for their page.
 
-mod page;
-mod terminal;
+use std::path::Path;
 
-use sortie_bundle::Bundle;
-use sortie_envs::save_the_city::{ENTRY, with_city};
-use sortie_envs::{Episode, Spec};
-use sortie_stage::save_the_city::City;
+use sortie_envs::save_the_city::ENTRY;
+use sortie_envs::save_the_city::golden::{self, Playback};
+use sortie_envs::{DecisionPoints, Environment};
+use sortie_learn::play::{Onlooker, Watched};
+use sortie_learn::random::{Purpose, generator};
+use sortie_learn::subtasks::{Allocate, AllocatedTeam, NoSubtasks};
+use sortie_learn::{Act, Scene, Scenes};
+use sortie_pages::{Captured, Heading, StepLog, TeamLog};
 
-use super::live::live;
-use super::{Canvas, Drawing, Figures, Live, Page, Scene, View, Wanted};
-use crate::failure::Failure;
-use crate::subject::Subject;
-use crate::worlds::tally::Tally;
+use super::probes::values_of;
+use super::{Page, Wanted, last_name, think};
+use crate::allocation::{Allocation, AllocatorChoice};
+use crate::allocator::ProposalArguments;
+use crate::environment;
+use crate::failure::{Exit, Failure};
+use crate::policy::Backend;
+use crate::replay;
+use crate::subject::{Subject, SubjectAllocator};
 
-pub(super) const VIEW: (&str, &dyn View) = (ENTRY.name, &Shown);
+/// The environment that is recorded so.
+pub(super) const ENVIRONMENT: &str = ENTRY.name;
 
-struct Shown;
-
-impl View for Shown {
-    fn outcome(&self, spec: &Spec, episode: &Episode) -> String {
-        let count = |name| {
-            let place = spec.metrics.iter().position(|metric| metric.name == name);
-            place.and_then(|place| episode.metrics[place]).unwrap_or(0.0)
-        };
-        let (saved, all) = (count(SAVED), count(ALL));
-        format!("{saved} of {all} buildings saved in {} steps", episode.steps)
-    }
-
-    fn figures(&self, spec: &Spec, tally: &Tally) -> Figures {
-        let [saved, all] = [SAVED, ALL].map(|name| tally.metric(spec, name).sum as u64);
-        Figures {
-            text: format!("buildings saved {saved} of {all}"),
-            fields: vec![("buildings_saved", saved.into()), ("buildings", all.into())],
+/// The page of a recorded episode.
+pub(super) fn recorded(wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure> {
+    let file = wanted.subject;
+    let asked = wanted.allocation.map(AllocatorChoice::name);
+    match (asked, wanted.policy) {
+        (Some("random"), _) => {
+            return Err(usage("a random allocation cannot be computed again from a recording"));
         }
+        (Some("learned"), None) => {
+            return Err(usage("name the team that learned to allocate: --policy RUN or BUNDLE"));
+        }
+        _ => {}
     }
-
-    fn draw(&self, scene: &Scene<'_>, canvas: Canvas) -> Drawing {
-        let Scene { state, allocation, actions, .. } = *scene;
-        with_city(state, |city| {
-            terminal::draw(&terminal::Scene { city, allocation, actions }, canvas)
-        })
+    let mut playback = open_recording(file, text)?;
+    let policy = wanted.policy;
+    let subject = policy.map(Subject::find).transpose()?;
+    let world = playback.world();
+    if let Some(Subject::Bundle(bundle)) = &subject {
+        environment::check_spec(bundle, world.spec(), &world.scenario_set().name)?;
     }
+    let choice = wanted.allocation.or_else(|| {
+        let is_learned = subject.as_ref().is_some_and(Subject::has_allocator);
+        let labelled = of_label(&playback.labels().policy);
+        labelled.filter(|choice| *choice != AllocatorChoice::Learned || is_learned)
+    });
+    let heading = Heading {
+        subject: playback.labels().name.clone(),
+        env: format!("{ENVIRONMENT}/{}", world.scenario_set().name),
+        allocation: choice.map(|choice| choice.name().into()),
+        notes: notes(&playback, choice, policy),
+        ..Heading::default()
+    };
+    let open = |choice| {
+        let owner = policy.unwrap_or(file).to_string_lossy();
+        let draws = (ProposalArguments::default(), wanted.seed);
+        SubjectAllocator::open(choice, subject.as_ref(), &owner, Backend::Plan, draws)
+    };
+    let mut allocator = choice.map(open).transpose()?;
+    let allocator: Box<dyn Allocate + '_> = match &mut allocator {
+        Some(allocator) => allocator.allocator()?,
+        None => Box::new(NoSubtasks),
+    };
+    let probe = subject.as_ref().map(values_of).transpose()?.flatten();
+    let interval = subject.as_ref().map_or(DecisionPoints::ACTION_LENGTH, Subject::interval);
+    let captured = think(subject.as_ref(), wanted.seed, allocator, |team| {
+        play_again(&mut playback, TeamLog::new(team, interval, probe))
+    })?;
+    Ok(Page::new(&heading, &captured))
+}
 
-    fn played(&self, wanted: &Wanted<'_>, subject: &Subject) -> Result<Page, Failure> {
-        page::played(wanted, subject)
-    }
+fn notes(
+    playback: &Playback,
+    choice: Option<AllocatorChoice>,
+    policy: Option<&Path>,
+) -> Vec<String> {
+    // Whoever gets the page sent need not know the folders above.
+    let acting = playback.labels().policy.rsplit('/').next().unwrap_or_default();
+    let mut notes = vec![format!("A recording of: {acting}.")];
+    notes.push(match choice {
+        Some(choice) => {
+            format!("Recordings hold no allocation; here it is computed again: {}.", choice.name())
+        }
+        None => {
+            "The recording does not say who was assigned where; --allocation RULE adds a rule's \
+                 allocation."
+                .into()
+        }
+    });
+    notes.push(match policy.map(last_name) {
+        Some(policy) => {
+            format!("Utilities and attention are what {policy} computes in the recorded states.")
+        }
+        None => "No network was given: --policy RUN or BUNDLE adds what it computes.".into(),
+    });
+    notes
+}
 
-    fn live(
-        &self,
-        wanted: &Wanted<'_>,
-        bundle: &Bundle,
-        program: Option<&[u8]>,
-    ) -> Result<Live, Failure> {
-        live::<City>((&page::WEB, &[]), wanted, bundle, program)
-    }
-
-    fn recorded(&self, wanted: &Wanted<'_>, text: &str) -> Result<Page, Failure> {
-        page::recorded(wanted, text)
+/// Reads a recording and checks that it replays bit for bit.
+fn open_recording(file: &Path, text: &str) -> Result<Playback, Failure> {
+    let name = file.display().to_string();
+    let unreadable = |error| replay::unreadable(error).within(&name);
+    let replayed = golden::replay(&name, text).map_err(unreadable)?;
+    match replayed.mismatches.first() {
+        Some(first) => Err(replay::difference(first, replayed.mismatches.len())),
+        None => Playback::new(text).map_err(unreadable),
     }
 }
 
-/// The metrics that tell of buildings.
-const SAVED: &str = "buildings_completed";
-const ALL: &str = "buildings";
+/// Goes through a recorded episode: its actions stand, whatever the team that is asked would do.
+fn play_again(
+    playback: &mut Playback,
+    mut log: TeamLog<'_, AllocatedTeam<'_>>,
+) -> Result<Captured, Failure> {
+    fn watched(playback: &Playback) -> Watched<'_> {
+        Watched { episode: 0, worlds: playback.world(), instance: 0 }
+    }
+    let mut steps = StepLog::default();
+    steps.started(watched(playback))?;
+    let mut state = Vec::new();
+    let (mut begins, mut tasks_changed) = (true, false);
+    // No allocator that can be asked again draws from it.
+    let mut unused = [generator(0, Purpose::Evaluation, 0)];
+    while let Some(actions) = playback.next_actions().map(<[u16]>::to_vec) {
+        let environment: &dyn Environment = playback.world();
+        state.clear();
+        environment.save(0, &mut state);
+        let scene = Scene { instance: 0, state: &state, begins, tasks_changed };
+        let scenes = Scenes { environment, scenes: &[scene] };
+        let mut chosen = vec![0; environment.spec().shape.agents];
+        log.act(&scenes, &mut unused, &mut chosen)?;
+        log.team.did(0, &actions);
+        let Some(outcome) = playback.step().map_err(Failure::bug)? else { break };
+        steps.stepped(watched(playback), &actions, &outcome)?;
+        (begins, tasks_changed) = (false, outcome.tasks_changed);
+    }
+    Ok(log.captured(steps))
+}
+
+/// Who allocated in a recording of `sortie eval --episodes-out`, by its label, where that can be
+/// computed again: random choices are lost.
+fn of_label(policy: &str) -> Option<AllocatorChoice> {
+    let (_, allocation) = policy.rsplit_once(", ")?;
+    let name = allocation.strip_suffix(" allocation")?;
+    match name {
+        "learned" => Some(AllocatorChoice::Learned),
+        "random" => None,
+        rule => Allocation::named(rule).ok().map(AllocatorChoice::Rule),
+    }
+}
+
+fn usage(message: &str) -> Failure {
+    Failure::new(Exit::Usage, message)
+}
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::views::tests::episode;
 
     #[test]
-    fn episodes_are_told_in_their_own_words() {
-        let values = [("buildings_completed", 2.0), ("buildings", 3.0)];
-        let (spec, played) = episode(&format!("{}/{}", ENTRY.name, "2-5a_2-5b"), &values);
-        assert_eq!(Shown.outcome(&spec, &played), "2 of 3 buildings saved in 7 steps");
-        let mut tally = Tally::default();
-        tally.add(played.clone());
-        tally.add(played);
-        let figures = Shown.figures(&spec, &tally);
-        assert_eq!(figures.text, "buildings saved 4 of 6");
-        assert_eq!(figures.fields, [("buildings_saved", 4.into()), ("buildings", 6.into())]);
+    fn labels_of_own_recordings_name_who_allocated() {
+        let name = |label| of_label(label).map(AllocatorChoice::name);
+        assert_eq!(name("runs/a, b, heuristic allocation"), Some("heuristic"));
+        assert_eq!(name("scripted, coordinated allocation"), Some("coordinated"));
+        assert_eq!(name("runs/a, learned allocation"), Some("learned"));
+        for unknown in ["scripted, random allocation", "a, planned from learned allocation", "a"] {
+            assert_eq!(name(unknown), None);
+        }
     }
 }

@@ -10,13 +10,14 @@ use serde::Deserialize;
 
 use super::bytes::State;
 use super::map::{MAX_AGENTS, MAX_TREASURES, MAZE, Map, PATHS, SIDE, draw_map};
-use super::observation::{NAME, spec, write_row};
+use super::observation::{NAME, picture, spec, write_row};
 use super::rules::{Chance, Drawn, Episode, Normals, Pit, Rules, Task, script};
 use super::{ACTION_NAMES, VERSION};
 use crate::bytes::known;
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Split, StateError, Step, StepError, checked_actions};
 use crate::observation::{EntitySet, Observation, members};
+use crate::picture::Picture;
 use crate::random::{Random, chance, generator};
 use crate::spec::Spec;
 
@@ -224,6 +225,10 @@ impl Environment for Gridworld {
         let state = State::read(self.rules.counts(), state)?.check(&self.rules)?;
         state.continue_in(&mut self.episodes[instance]);
         Ok(())
+    }
+
+    fn picture(&self, state: &[u8]) -> Picture {
+        picture(&self.rules, &known(State::read(self.rules.counts(), state)))
     }
 
     fn place(&mut self, instance: usize, agent: usize, place: [f64; 2]) -> Result<(), StateError> {

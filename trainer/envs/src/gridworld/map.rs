@@ -108,12 +108,6 @@ impl Map {
         &self.rows
     }
 
-    /// The characters, a line for each row.
-    pub(super) fn lines(&self) -> Vec<String> {
-        let line = |row: &[u8]| row.iter().copied().map(char::from).collect();
-        self.rows.chunks(SIDE).map(line).collect()
-    }
-
     /// Where agents start.
     pub fn starts(&self) -> &[u16] {
         &self.starts

@@ -13,7 +13,6 @@ mod rules;
 pub use bytes::state_bytes;
 pub use environment::{ENTRY, Gridworld, SET_NAMES};
 pub use map::{CELLS, Draw, MAX_AGENTS, MAX_TREASURES, Map, MapError, SIDE, draw_map};
-pub use observation::{Cell, Picture, picture_of};
 pub use rules::{Chance, Found, Normals, Pit, Rules, Task};
 
 /// The version of the rules: another one where a trained policy would notice the difference.

@@ -1,15 +1,15 @@
-//! What an agent sees, what a gridworld says of itself, and what there is to draw of a state.
+//! What an agent sees, what a gridworld says of itself, and what a state looks like.
 
 use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 
 use super::bytes::{State, state_bytes};
-use super::map::{DOORS, FIRST_DOOR, MAX_TREASURES, NONE, PIT, SIDE, WALL};
-use super::rules::{Pit, Rules};
+use super::map::{DOORS, FIRST_DOOR, NONE, PIT, SIDE, WALL};
+use super::rules::Rules;
 use super::{ACTION_NAMES, STAY, VERSION};
-use crate::environment::StateError;
 use crate::observation::members;
+use crate::picture::{Cell, Disc, Field, Picture, lettered};
 use crate::rows::SparseRows;
 use crate::spec::{Metric, Shape, Spec, View};
 
@@ -116,72 +116,53 @@ pub(super) fn spec(rules: &Rules) -> Spec {
         safe_action: Some(STAY.into()),
         metrics: METRICS,
         row_entries: entries(rules),
-        map: rules.map.lines(),
         state_bytes: state_bytes(rules),
         episode_limit: rules.episode_limit,
         ..Spec::default()
     }
 }
 
-/// What is in a cell of a map, beside agents.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Cell {
-    /// Nothing, or the start of an agent.
-    Free,
-    /// A wall.
-    Wall,
-    /// A pit.
-    Pit,
-    /// A door that opens once so many tiers are finished.
-    Door(u8),
-    /// A treasure of this kind.
-    Treasure(u8),
-}
-
-impl Cell {
-    /// All cells of a map as [`Spec::map`] has it, row by row.
-    pub fn all(spec: &Spec) -> impl Iterator<Item = Self> + '_ {
-        spec.map.iter().flat_map(|row| row.bytes()).map(Self::of)
-    }
-
-    fn of(character: u8) -> Self {
-        const LAST_TREASURE: u8 = b'A' + MAX_TREASURES as u8 - 1;
-        const LAST_DOOR: u8 = FIRST_DOOR + DOORS - 1;
-        match character {
-            WALL => Self::Wall,
-            PIT => Self::Pit,
-            b'A'..=LAST_TREASURE => Self::Treasure(character - b'A'),
-            FIRST_DOOR..=LAST_DOOR => Self::Door(character - FIRST_DOOR + 1),
-            _ => Self::Free,
+/// What a state of such a gridworld looks like. Pits have the chance in percent that they open next.
+pub(super) fn picture(rules: &Rules, state: &State<'_>) -> Picture {
+    let place = |cell: usize| [(cell % SIDE) as f64, (cell / SIDE) as f64];
+    let all_found = state.found.iter().fold(0, |all, own| all | own);
+    let mut pits = (0..).map(|pit| state.pit(pit));
+    let cells = (0..).zip(rules.map.rows()).filter_map(|(cell, character)| {
+        let treasure = rules.map.treasure_at(cell);
+        let (kind, label, colour) = match *character {
+            WALL => ("wall", String::new(), None),
+            PIT => match pits.next()? {
+                pit if pit.is_open => ("open pit", "!".into(), Some(1)),
+                pit => ("pit", format!("{:.0}", (100.0 * pit.probability).min(99.0)), None),
+            },
+            door if (FIRST_DOOR..FIRST_DOOR + DOORS).contains(&door) => {
+                let is_open = rules.map.is_open(cell, state.tiers);
+                if is_open { ("open door", "::".into(), None) } else { ("door", "==".into(), None) }
+            }
+            _ => match all_found >> treasure? & 1 {
+                0 => ("treasure", lettered(treasure?.into()), Some(2)),
+                _ => ("treasure, found", lettered(treasure?.into()), None),
+            },
+        };
+        let (place, kind, is_solid) = (place(cell.into()), kind.to_string(), kind == "wall");
+        Some(Cell { place, kind, label, is_solid, colour })
+    });
+    let agent = |agent: usize| {
+        let found: String = members(state.found[agent].into()).map(lettered).collect();
+        let what = if found.is_empty() { "nothing" } else { &found };
+        Disc {
+            name: agent.to_string(),
+            kind: "agent",
+            colour: Some(agent as u8),
+            place: Some(place(state.cell(agent).into())),
+            status: format!("found {what}"),
+            ..Disc::default()
         }
+    };
+    Picture {
+        field: Some(Field::grid(SIDE, SIDE)),
+        cells: cells.collect(),
+        agents: (0..rules.agents()).map(agent).collect(),
+        ..Picture::default()
     }
-}
-
-/// A state as it is drawn, on the map of its spec.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Picture {
-    /// `[agents]`: where they are.
-    pub cells: Vec<u16>,
-    /// `[agents]`: what they found, kinds of treasures as bits.
-    pub found: Vec<u8>,
-    /// Tiers that are finished.
-    pub tiers: u8,
-    /// The pits in the order of their cells, each as it was when somebody last looked.
-    pub pits: Vec<Pit>,
-}
-
-/// What there is to draw of a state.
-///
-/// # Errors
-/// The bytes are no state of this gridworld.
-pub fn picture_of(spec: &Spec, state: &[u8]) -> Result<Picture, StateError> {
-    let agents = spec.shape.agents;
-    let pits = Cell::all(spec).filter(|cell| *cell == Cell::Pit).count();
-    let state = State::read((agents, pits), state)?;
-    Ok(Picture {
-        cells: (0..agents).map(|agent| state.cell(agent)).collect(),
-        found: state.found.to_vec(),
-        tiers: state.tiers,
-        pits: (0..pits).map(|pit| state.pit(pit)).collect(),
-    })
 }

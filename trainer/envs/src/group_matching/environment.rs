@@ -5,6 +5,7 @@ use alloc::boxed::Box;
 use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 use alloc::{format, vec};
+use core::f64::consts::PI;
 
 use super::VERSION;
 use super::parameters::{Parameters, ParametersError, SET_NAMES};
@@ -16,6 +17,7 @@ use crate::bytes::known;
 use crate::entry::{Choice, EnvironmentError};
 use crate::environment::{Environment, Split, StateError, Step, StepError, checked_actions};
 use crate::observation::{EntitySet, Observation, members};
+use crate::picture::{Cell, Disc, Field, Outline, Picture, lettered};
 use crate::random::Random;
 use crate::spec::{Metric, Shape, Spec, View};
 
@@ -84,6 +86,72 @@ pub fn sizes(spec: &Spec) -> Parameters {
     let groups = spec.row_entries - OWN_ENTRIES;
     let cells = features - groups - agents;
     Parameters { agents, cells, groups, episode_limit: spec.episode_limit, ..Parameters::default() }
+}
+
+/// The middle of a cell: the first one is at the top, the others follow clockwise.
+fn middle(cell: usize, cells: usize, radius: f64) -> [f64; 2] {
+    let turn = 2.0 * PI * cell as f64 / cells as f64;
+    [radius * libm::sin(turn), radius * libm::cos(turn)]
+}
+
+/// The cell nearest to a place.
+fn cell_at(parameters: &Parameters, place: [f64; 2]) -> Option<u8> {
+    let away = |cell: &u8| {
+        let [x, y] = middle((*cell).into(), parameters.cells, 1.0);
+        libm::hypot(place[0] - x, place[1] - y)
+    };
+    let nearest =
+        (0..parameters.cells as u8).min_by(|one, other| away(one).total_cmp(&away(other)));
+    nearest.filter(|cell| away(cell).is_finite())
+}
+
+/// What a ring looks like. Agents in one cell stand one behind the other, towards the middle.
+fn picture(parameters: &Parameters, ring: Ring<'_>) -> Picture {
+    let (cells, groups) = (parameters.cells, ring.groups().collect::<Vec<_>>());
+    let side = (0.9 * 2.0 * libm::sin(PI / cells as f64)).min(0.8);
+    let gap = (0.9 / ring.cells.len() as f64).min(0.2);
+    let agents = ring.cells.iter().enumerate().map(|(agent, cell)| {
+        let before = ring.cells[..agent].iter().filter(|other| *other == cell).count();
+        let own = groups.iter().enumerate().filter(|(_, members)| **members >> agent & 1 == 1);
+        let own: Vec<usize> = own.map(|(group, _)| group).collect();
+        let first = own.first().copied().unwrap_or(0);
+        let names: Vec<String> = own.into_iter().map(lettered).collect();
+        Disc {
+            name: format!("{}{agent}", lettered(first)),
+            kind: "agent",
+            colour: Some(first as u8),
+            place: Some(middle((*cell).into(), cells, 1.0 - gap * before as f64)),
+            radius: Some(gap.min(side) * 0.45),
+            about: format!("in cell {cell}, group {}", names.join(", ")),
+            ..Disc::default()
+        }
+    });
+    let things = groups.iter().enumerate().map(|(group, set)| {
+        let agents = members(*set).map(|agent| agent.to_string()).collect::<Vec<_>>().join(", ");
+        Disc {
+            name: lettered(group),
+            kind: "group",
+            outline: Outline::Square,
+            colour: Some(group as u8),
+            status: if ring.is_matched(*set) { "together" } else { "apart" }.into(),
+            about: if agents.is_empty() { "nobody".into() } else { format!("agents {agents}") },
+            ..Disc::default()
+        }
+    });
+    let label = |cell: usize| if cell < 100 { cell.to_string() } else { String::new() };
+    let cell = |cell: usize| Cell {
+        place: middle(cell, cells, 1.0),
+        kind: "cell".into(),
+        label: label(cell),
+        ..Cell::default()
+    };
+    Picture {
+        field: Some(Field::plane(1.05 + side / 2.0, side)),
+        cells: (0..cells).map(cell).collect(),
+        agents: agents.collect(),
+        things: things.collect(),
+        links: Vec::new(),
+    }
 }
 
 /// Group Matching, many instances in one object. Nothing is allocated after construction.
@@ -285,17 +353,17 @@ impl Environment for GroupMatching {
     }
 
     /// A cell is a column of the only row; what the groups came to so far counts from there.
-    fn place(
-        &mut self,
-        instance: usize,
-        agent: usize,
-        [cell, _]: [f64; 2],
-    ) -> Result<(), StateError> {
-        let Parameters { agents, cells, groups, .. } = self.parameters;
-        let cell = cell as u8;
-        if agent >= agents || usize::from(cell) >= cells {
-            return Err(StateError::Impossible(format!("the ring has {cells} cells")));
-        }
+    fn picture(&self, state: &[u8]) -> Picture {
+        picture(&self.parameters, known(State::read(&self.parameters, state)).ring)
+    }
+
+    /// The nearest cell counts.
+    fn place(&mut self, instance: usize, agent: usize, place: [f64; 2]) -> Result<(), StateError> {
+        let Parameters { agents, groups, .. } = self.parameters;
+        let cell = cell_at(&self.parameters, place).filter(|_| agent < agents);
+        let Some(cell) = cell else {
+            return Err(StateError::Impossible("agents stand in cells of the ring".into()));
+        };
         let episode = &mut self.episodes[instance];
         let before = core::mem::replace(&mut episode.cells[agent], cell);
         let matches = episode.ring().matches();

@@ -17,7 +17,7 @@ use environment::NAME;
 
 pub use environment::{EpisodeMetrics, GroupMatching, columns, feature_names, sizes, write_row};
 pub use parameters::{MAX_AGENTS, MAX_CELLS, MAX_GROUPS, Parameters, ParametersError, SET_NAMES};
-pub use ring::{ACTION_NAMES, ACTIONS, LEFT, RIGHT, Ring, STAY, ring_of, state_bytes, walk};
+pub use ring::{ACTION_NAMES, ACTIONS, LEFT, RIGHT, Ring, STAY, state_bytes, walk};
 
 /// The version of the rules: another one where a trained policy would notice the difference.
 pub const VERSION: &str = "1";

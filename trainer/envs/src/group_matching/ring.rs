@@ -239,14 +239,6 @@ pub fn state_bytes(parameters: &Parameters) -> usize {
     HEAD + parameters.agents + parameters.groups * member_bytes(parameters.agents)
 }
 
-/// Who stands where in a saved state of such a ring, and who belongs together.
-///
-/// # Errors
-/// The bytes are no state of it.
-pub fn ring_of<'a>(parameters: &Parameters, state: &'a [u8]) -> Result<Ring<'a>, StateError> {
-    Ok(State::read(parameters, state)?.check(parameters)?.ring)
-}
-
 impl<'a> State<'a> {
     /// Adds the bytes of this state.
     pub(super) fn write(self, bytes: &mut Vec<u8>) {

@@ -10,7 +10,7 @@ use core::marker::PhantomData;
 use serde::Deserialize;
 
 use super::VERSION;
-use super::observation::{IMPOSSIBLE, TIME, spec, write_row};
+use super::observation::{IMPOSSIBLE, TIME, picture, spec, write_row};
 use super::rules::{
     Episode, MilestoneSet, Rules, Standing, read_episode, read_sound, write_episode,
 };
@@ -19,6 +19,7 @@ use crate::bytes::known;
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Split, StateError, Step, StepError};
 use crate::observation::{EntitySet, Observation};
+use crate::picture::Picture;
 use crate::random::{Random, below, chance};
 use crate::spec::Spec;
 
@@ -252,6 +253,10 @@ impl<G: Game> Environment for Milestones<G> {
         let longest = self.rules.limit.max(self.rules.training_limit);
         self.episodes[instance] = read_sound::<G>(state, longest)?;
         Ok(())
+    }
+
+    fn picture(&self, state: &[u8]) -> Picture {
+        picture::<G>(&known(read_episode::<G>(state)).world)
     }
 
     fn place(&mut self, instance: usize, entity: usize, place: [f64; 2]) -> Result<(), StateError> {

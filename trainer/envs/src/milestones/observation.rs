@@ -2,12 +2,14 @@
 
 use alloc::format;
 use alloc::string::{String, ToString};
+use alloc::vec;
 use alloc::vec::Vec;
 use core::marker::PhantomData;
 
 use super::VERSION;
 use super::rules::{Rules, state_bytes};
 use super::world::{EMPTY, Game, WALL, World};
+use crate::picture::{Cell, Disc, Field, Picture};
 use crate::rows::SparseRows;
 use crate::spec::{Metric, Shape, Sign, Spec, View};
 
@@ -189,4 +191,55 @@ fn feature_names<G: Game>() -> Vec<String> {
         kinds().map(move |kind| format!("{ahead}.{across}.{kind}"))
     });
     cells.chain(G::ITEMS.iter().map(|item| format!("items.{item}"))).collect()
+}
+
+/// What a grid looks like. Objects have two letters, no two kinds the same ones, and are written large where they are open.
+pub(super) fn picture<G: Game>(world: &World) -> Picture {
+    let size = usize::from(world.size);
+    let place = |cell: usize| [(cell % size) as f64, (cell / size) as f64];
+    let signs = letters_of(G::OBJECTS);
+    let cells = world.cells[..size * size].iter().enumerate().map(|(cell, object)| {
+        let kind = G::OBJECTS[usize::from(*object)].replace('_', " ");
+        let sign = &signs[usize::from(*object)];
+        let has_label = !matches!(*object, EMPTY | WALL);
+        let label = if world.is_open(*object) { sign.to_uppercase() } else { sign.clone() };
+        Cell {
+            place: place(cell),
+            kind: if *object == EMPTY { String::new() } else { kind },
+            label: if has_label { label } else { String::new() },
+            is_solid: *object == WALL,
+            colour: has_label.then_some(*object),
+        }
+    });
+    let carried = G::ITEMS.iter().zip(&world.inventory).filter(|(_, count)| **count > 0);
+    let carried = carried.map(|(item, count)| format!("{count} {}", item.replace('_', " ")));
+    let carried = carried.collect::<Vec<_>>().join(", ");
+    let agent = Disc {
+        name: "agent".into(),
+        label: [">", "v", "<", "^"][usize::from(world.direction & 3)].into(),
+        kind: "agent",
+        place: Some(place(world.position.into())),
+        about: format!("carries {}", if carried.is_empty() { "nothing" } else { &carried }),
+        ..Disc::default()
+    };
+    Picture {
+        field: Some(Field::grid(size, size)),
+        cells: cells.collect(),
+        agents: vec![agent],
+        ..Picture::default()
+    }
+}
+
+/// The first letter of each name with another of its letters, of its second word if it can be.
+fn letters_of(names: &[&str]) -> Vec<String> {
+    let mut signs: Vec<String> = Vec::new();
+    for name in names {
+        let (first, rest) = name.split_at(1);
+        let second = name.split('_').skip(1).filter_map(|word| word.chars().next());
+        let letters = second.chain(rest.chars().filter(|letter| *letter != '_'));
+        let mut found = letters.map(|letter| format!("{first}{letter}"));
+        let sign = found.find(|sign| !signs.contains(sign));
+        signs.push(sign.unwrap_or_else(|| name.chars().take(2).collect()));
+    }
+    signs
 }

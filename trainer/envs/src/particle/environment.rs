@@ -11,12 +11,13 @@ use super::VERSION;
 use super::navigation::Navigation;
 use super::physics::ACTIONS;
 use super::rover_tower::RoverTower;
-use super::scenario::{Picture, Row, Scenario, State, read_state, state_bytes, write_state};
+use super::scenario::{PAIR, Row, Scenario, State, read_state, state_bytes, write_state};
 use super::treasure::{AGENTS_PER_BANK, DeadTreasures, Hoard, TreasureCollection};
 use crate::bytes::known;
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Split, StateError, Step, StepError, checked_actions};
 use crate::observation::{AgentSet, EntitySet, Observation, members};
+use crate::picture::{Link, Picture};
 use crate::random::Random;
 use crate::spec::{Rewards, Shape, Spec, View};
 
@@ -263,6 +264,10 @@ impl<S: Scenario> Environment for Particle<S> {
         Ok(())
     }
 
+    fn picture(&self, state: &[u8]) -> Picture {
+        self.scenario.picture(&known(self.state(state)).world)
+    }
+
     /// What is put somewhere comes to rest there.
     fn place(&mut self, instance: usize, entity: usize, place: [f64; 2]) -> Result<(), StateError> {
         let refused = |reason: &str| Err(StateError::Impossible(reason.into()));
@@ -314,11 +319,13 @@ impl<S: Scenario> Environment for Particle<S> {
 
     /// The pairs of a rover and its tower.
     fn companions(&self, state: &[u8], companions: &mut [EntitySet]) -> bool {
-        let Picture { agents, .. } = self.scenario.picture(&known(self.state(state)).world);
-        for (agent, (drawn, companions)) in agents.iter().zip(companions).enumerate() {
-            *companions = 1 << agent | drawn.partner.map_or(0, |partner| 1 << partner);
+        let Picture { links, .. } = self.picture(state);
+        (0..).zip(&mut *companions).for_each(|(agent, set)| *set = 1 << agent);
+        for Link { from, to, .. } in links.iter().filter(|link| link.name == PAIR) {
+            companions[*from] |= 1 << to;
+            companions[*to] |= 1 << from;
         }
-        agents.iter().any(|drawn| drawn.partner.is_some())
+        !links.is_empty()
     }
 
     fn potential(&self, state: &[u8], scale: f32, team: AgentSet, _: Option<usize>) -> f32 {
@@ -367,25 +374,4 @@ fn spec<S: Scenario>(scenario: &S) -> Spec {
         episode_limit: scenario.episode_limit(),
         ..Spec::default()
     }
-}
-
-/// What there is to draw of a state of an environment that says this of itself.
-///
-/// # Errors
-/// The bytes are no state of this environment.
-pub fn picture_of(spec: &Spec, state: &[u8]) -> Result<Picture, StateError> {
-    let (agents, limit) = (spec.shape.agents, spec.episode_limit);
-    match spec.roles.first().map(|role| role.name) {
-        Some("collector") => {
-            let banks = agents / AGENTS_PER_BANK;
-            drawn(&TreasureCollection::new(banks, DeadTreasures::default(), limit), spec, state)
-        }
-        Some("rover") => drawn(&RoverTower::new(agents / 2, limit), spec, state),
-        _ => drawn(&Navigation::new(agents, limit), spec, state),
-    }
-}
-
-fn drawn<S: Scenario>(scenario: &S, spec: &Spec, state: &[u8]) -> Result<Picture, StateError> {
-    let state = read_state(scenario, spec.state_bytes, state)?;
-    Ok(scenario.picture(&state.world))
 }

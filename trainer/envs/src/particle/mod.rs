@@ -13,11 +13,11 @@ mod scenario;
 mod treasure;
 
 pub use crate::bytes::Reader;
-pub use environment::{ENTRY, Particle, SET_NAMES, picture_of};
+pub use environment::{ENTRY, Particle, SET_NAMES};
 pub use navigation::{Navigated, Navigation};
 pub use physics::{ACTIONS, Body, MOVES, Mover, Point};
 pub use rover_tower::{Roved, RoverTower, Tower};
-pub use scenario::{Disc, Drawn, Picture, Row, Scenario, Spot, Thing};
+pub use scenario::{Row, Scenario, Spot};
 pub use treasure::{DeadTreasures, Hand, Hoard, Stage, Treasure, TreasureCollection};
 
 /// The version of the rules: another one where a trained policy would notice the difference.

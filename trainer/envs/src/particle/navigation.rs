@@ -8,17 +8,15 @@ use super::physics::{
     towards,
 };
 use super::scenario::{
-    Disc, Drawn, Names, Picture, Row, Scenario, Spot, Thing, write_movers, write_number,
-    write_point,
+    Names, Row, Scenario, Spot, agent, drawn, landmarks, write_movers, write_number, write_point,
 };
 use crate::bytes::Reader;
+use crate::picture::Picture;
 use crate::random::Random;
 use crate::spec::{Metric, Role};
 
 /// Numbers of an utterance, which nobody makes.
 const UTTERANCE: usize = 2;
-
-const LANDMARK_RADIUS: f64 = 0.05;
 
 const BODY: Body =
     Body { radius: 0.15, mass: 1.0, thrust: 5.0, max_speed: f64::INFINITY, collides: true };
@@ -173,14 +171,10 @@ impl Scenario for Navigation {
     }
 
     fn picture(&self, world: &Navigated) -> Picture {
-        let disc = |place, radius| Some(Disc { place, radius });
-        let agent =
-            |mover: &Mover| Drawn { disc: disc(mover.position, BODY.radius), ..Drawn::default() };
-        let thing = |place: &Point| Thing { disc: disc(*place, LANDMARK_RADIUS), kind: None };
-        Picture {
-            agents: world.movers.iter().map(agent).collect(),
-            things: world.landmarks.iter().map(thing).collect(),
-        }
+        let movers = world.movers.iter().enumerate();
+        let agents = movers
+            .map(|(number, mover)| agent("agent", number, Some((mover.position, BODY.radius))));
+        drawn(agents.collect(), landmarks(&world.landmarks))
     }
 
     /// The nearest agent goes to the nearest landmark, then the nearest of the rest to the nearest that is left.

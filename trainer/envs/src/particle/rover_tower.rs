@@ -1,6 +1,6 @@
 //! Rover-Tower: each rover is led by words of a tower, which alone knows the goal (dissertation chapter 3).
 
-use alloc::string::String;
+use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 use alloc::{format, vec};
 use core::mem;
@@ -9,10 +9,11 @@ use super::physics::{
     ACTIONS, Body, MOVES, Mover, Point, advance, anywhere, squared_distance, towards,
 };
 use super::scenario::{
-    Disc, Drawn, Names, Picture, Row, Scenario, Spot, Thing, write_choice, write_movers,
+    Names, PAIR, Row, Scenario, Spot, agent, drawn, landmarks, write_choice, write_movers,
     write_point,
 };
 use crate::bytes::Reader;
+use crate::picture::{Disc, Link, Outline, Picture, lettered};
 use crate::random::{Random, below};
 use crate::spec::{Metric, Role};
 
@@ -207,29 +208,34 @@ impl Scenario for RoverTower {
     }
 
     fn picture(&self, world: &Roved) -> Picture {
-        let disc = |place, radius| Some(Disc { place, radius });
-        let rover = |(rover, mover): (usize, &Mover)| {
-            let leads = |tower: &Tower| usize::from(tower.rover) == rover;
-            let tower = world.towers.iter().position(leads);
-            Drawn {
-                disc: disc(mover.position, ROVER.radius),
-                partner: tower.map(|tower| self.rovers() + tower),
-                goal: tower.map(|tower| world.towers[tower].goal.into()),
-                ..Drawn::default()
+        let leader = |rover: usize| {
+            let found = world.towers.iter().position(|tower| usize::from(tower.rover) == rover);
+            found.map(|tower| (self.rovers() + tower, &world.towers[tower]))
+        };
+        let rovers = world.movers.iter().enumerate().map(|(rover, mover)| {
+            let mut disc = agent("rover", rover, Some((mover.position, ROVER.radius)));
+            if let Some((number, tower)) = leader(rover) {
+                let place = world.landmarks[usize::from(tower.goal)];
+                let goal = lettered(tower.goal.into());
+                let is_near = squared_distance(mover.position, place) < NEAR;
+                disc.status = format!("{} {goal}", if is_near { "near" } else { "away from" });
+                disc.about = format!("led by {number} to {goal}; heard {}", said(tower));
             }
-        };
-        let tower = |tower: &Tower| Drawn {
-            says: tower.said,
-            partner: Some(tower.rover.into()),
-            goal: Some(tower.goal.into()),
-            ..Drawn::default()
-        };
-        let rovers = world.movers.iter().enumerate().map(rover);
-        let thing = |place: &Point| Thing { disc: disc(*place, LANDMARK_RADIUS), kind: None };
-        Picture {
-            agents: rovers.chain(world.towers.iter().map(tower)).collect(),
-            things: world.landmarks.iter().map(thing).collect(),
-        }
+            disc
+        });
+        let towers = (self.rovers()..).zip(&world.towers).map(|(number, tower)| {
+            let goal = lettered(tower.goal.into());
+            let about = format!("leads {} to {goal}; said {}", tower.rover, said(tower));
+            Disc { outline: Outline::Triangle, about, ..agent("tower", number, None) }
+        });
+        let links = (0..self.rovers()).filter_map(|rover| {
+            let (leader, tower) = leader(rover)?;
+            let goal = 2 * self.rovers() + usize::from(tower.goal);
+            let way = |from| Link { name: "goal", from, to: goal };
+            Some([Link { name: PAIR, from: rover, to: leader }, way(rover), way(leader)])
+        });
+        let agents = rovers.chain(towers).collect();
+        Picture { links: links.flatten().collect(), ..drawn(agents, landmarks(&world.landmarks)) }
     }
 
     /// Rovers go straight to their goals, which they know; towers need not speak.
@@ -240,4 +246,9 @@ impl Scenario for RoverTower {
         }
         actions[self.rovers()..].fill(0);
     }
+}
+
+/// What a tower said last.
+fn said(tower: &Tower) -> String {
+    tower.said.map_or("nothing".into(), |message| message.to_string())
 }

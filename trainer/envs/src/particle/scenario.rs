@@ -9,6 +9,7 @@ use core::ops::Range;
 use super::physics::{Mover, Point};
 use crate::bytes::{LAYOUT, Reader};
 use crate::environment::StateError;
+use crate::picture::{Disc, Field, Outline, Picture, lettered};
 use crate::random::Random;
 use crate::rows::SparseRows;
 use crate::spec::{Metric, Role};
@@ -59,7 +60,7 @@ pub trait Scenario: Clone + Debug + Send + Sync + 'static {
     /// Where an agent or a thing is, with its velocity if it has one; agents come first. None of those that are nowhere.
     fn entity<'w>(&self, world: &'w mut Self::World, entity: usize) -> Option<Spot<'w>>;
 
-    /// What there is to draw of a world.
+    /// What a world looks like.
     fn picture(&self, world: &Self::World) -> Picture;
 
     /// Writes the actions of a team that knows the whole world.
@@ -167,48 +168,33 @@ impl<'a> Row<'a> {
     }
 }
 
-/// A state as it is drawn.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Picture {
-    /// All agents in their order.
-    pub agents: Vec<Drawn>,
-    /// Treasures or landmarks.
-    pub things: Vec<Thing>,
+/// Half of the side that is drawn: most agents stay within.
+const DRAWN: f64 = 1.25;
+/// What links two agents of which one leads the other.
+pub(super) const PAIR: &str = "pair";
+
+/// What all scenarios look like.
+pub(super) fn drawn(agents: Vec<Disc>, things: Vec<Disc>) -> Picture {
+    let field = Some(Field::plane(DRAWN, 0.1));
+    Picture { field, agents, things, ..Picture::default() }
 }
 
-/// One agent as it is drawn.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Drawn {
-    /// Where it is; towers are nowhere.
-    pub disc: Option<Disc>,
-    /// The kind of treasure that it takes, as a bank.
-    pub takes: Option<u8>,
-    /// The kind of treasure that it holds.
-    pub holds: Option<u8>,
-    /// What it said in the last step.
-    pub says: Option<u8>,
-    /// The agent that it leads, or that leads it.
-    pub partner: Option<usize>,
-    /// The landmark that it, or the agent that it leads, should be at.
-    pub goal: Option<usize>,
+/// An agent by its number, which is somewhere or nowhere.
+pub(super) fn agent(kind: &'static str, number: usize, disc: Option<(Point, f64)>) -> Disc {
+    let (place, radius) = disc.unzip();
+    Disc { name: number.to_string(), kind, place, radius, ..Disc::default() }
 }
 
-/// Something that lies on the plane.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Thing {
-    /// Where it is; a treasure that was just taken is nowhere.
-    pub disc: Option<Disc>,
-    /// The kind of a treasure.
-    pub kind: Option<u8>,
-}
-
-/// A place and how far it reaches, in half sides of the square.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Disc {
-    /// Its middle.
-    pub place: Point,
-    /// Its radius.
-    pub radius: f64,
+/// Landmarks by their letters.
+pub(super) fn landmarks(places: &[Point]) -> Vec<Disc> {
+    let landmark = |(number, place): (usize, &Point)| Disc {
+        name: lettered(number),
+        kind: "landmark",
+        outline: Outline::Cross,
+        place: Some(*place),
+        ..Disc::default()
+    };
+    places.iter().enumerate().map(landmark).collect()
 }
 
 /// The byte of what is not there.

@@ -11,7 +11,7 @@ use super::episode::EpisodeMetrics;
 use super::grid::Symmetry;
 use super::observation::{
     BUILDINGS, METRICS, NAME, RULE_NAMES, agent_features, agent_relation, building_features,
-    building_relation, potential,
+    building_relation, picture, potential,
 };
 use super::rules::FIGHT;
 use super::scenarios::{CityError, SET_NAMES, ScenarioSet};
@@ -23,6 +23,7 @@ use crate::bytes::known;
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
 use crate::observation::{AgentSet, EntitySet, Observation, members};
+use crate::picture::Picture;
 use crate::random::{Random, below};
 use crate::rows::SparseRows;
 use crate::spec::{Shape, Spec};
@@ -86,6 +87,13 @@ fn metrics(metrics: &EpisodeMetrics) -> Vec<Option<f64>> {
     METRICS.iter().map(|metric| value(metric.name)).collect()
 }
 
+fn impossible(error: CityError) -> StateError {
+    StateError::Impossible(match error {
+        CityError::State(reason) => reason,
+        error => error.to_string(),
+    })
+}
+
 impl Environment for SaveTheCity {
     fn spec(&self) -> &Spec {
         &self.spec
@@ -133,13 +141,19 @@ impl Environment for SaveTheCity {
         write_state(self.city(instance), self.scenario(instance), self.metrics(instance), state);
     }
 
+    fn picture(&self, state: &[u8]) -> Picture {
+        with_city(state, picture)
+    }
+
     fn place(&mut self, instance: usize, agent: usize, place: [f64; 2]) -> Result<(), StateError> {
         // Whatever is less than the first cell is none of the map either.
         let [x, y] = place.map(|part| if part < 0.0 { u8::MAX } else { part as u8 });
-        self.place_agent(instance, agent, (x, y)).map_err(|error| match error {
-            CityError::State(reason) => StateError::Impossible(reason),
-            error => StateError::Impossible(error.to_string()),
-        })
+        self.place_agent(instance, agent, (x, y)).map_err(impossible)
+    }
+
+    /// Sets a building on fire.
+    fn disturb(&mut self, instance: usize, building: usize) -> Result<(), StateError> {
+        self.set_fire(instance, building).map_err(impossible)
     }
 
     fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {

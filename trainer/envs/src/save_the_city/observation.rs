@@ -3,7 +3,8 @@
 //! Every value is computed in f64 and rounded once to f32, so that rows rebuilt from stored states
 //! equal the observed ones bit for bit.
 
-use alloc::string::String;
+use alloc::format;
+use alloc::string::{String, ToString};
 
 use super::bytes::state_bytes;
 use super::causes::Cause;
@@ -11,8 +12,9 @@ use super::grid::Symmetry;
 use super::rules::{ACTION_NAMES, ACTIONS};
 use super::scenarios::ScenarioSet;
 use super::scripted::RULES;
-use super::state::{AgentState, BuildingState, City, Status};
+use super::state::{AgentKind, AgentState, BuildingKind, BuildingState, City, SIDE, Status};
 use super::{Constants, VERSION};
+use crate::picture::{Bar, Disc, Field, Outline, Picture};
 use crate::spec::{Metric, Rewards, Rule, Shape, Spec, View};
 
 /// Columns of a feature row.
@@ -280,6 +282,7 @@ pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
         metrics: METRICS,
         causes: &Cause::NAMES,
         rewards: Rewards { tasks: true, agents: false },
+        disturbance: "set on fire",
         turns: Symmetry::ALL.len(),
         rules: RULE_NAMES,
         relations: RELATIONS,
@@ -287,6 +290,63 @@ pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
         state_bytes: state_bytes(set.max_agents, set.max_buildings),
         episode_limit: constants.episode_limit,
         ..Spec::default()
+    }
+}
+
+/// What a city looks like, north up.
+pub(super) fn picture(city: City<'_>) -> Picture {
+    let place = |x: u8, y: u8| Some([x, y].map(f64::from));
+    let agents = city.agents.iter().enumerate().map(|(number, agent)| {
+        let (kind, outline) = match agent.kind {
+            AgentKind::Firefighter => ("firefighter", Outline::Circle),
+            AgentKind::Builder => ("builder", Outline::Square),
+            AgentKind::Generalist => ("generalist", Outline::Diamond),
+        };
+        Disc {
+            name: format!("{}{number}", agent.kind.letter()),
+            kind,
+            outline,
+            colour: Some(agent.kind as u8),
+            place: place(agent.x, agent.y),
+            ..Disc::default()
+        }
+    });
+    let things = city.buildings.iter().enumerate().map(|(number, building)| {
+        let (status, sign, colour) = match building.status {
+            Status::Complete => ("complete", "+", None),
+            Status::BurnedDown => ("burned down", "-", None),
+            Status::Open if building.is_burning() => ("burning", "!", Some(3)),
+            Status::Open => ("open", "", None),
+        };
+        let name = char::from(b'a'.saturating_add(number as u8)).to_string();
+        let speed = match building.kind {
+            BuildingKind::Fast => "fast",
+            BuildingKind::Slow => "slow",
+        };
+        let ignition =
+            format!("; ignites in {} of {} steps", building.to_next_fire, building.period);
+        let hidden = if building.is_open() { &ignition[..] } else { "" };
+        Disc {
+            label: format!("{name}{sign}"),
+            name,
+            kind: "building",
+            outline: Outline::Square,
+            colour,
+            place: place(building.x, building.y),
+            bars: [("health", building.health), ("fire", building.fire)]
+                .map(|(name, share)| Bar { name, share })
+                .to_vec(),
+            status: status.into(),
+            about: format!("burns {speed}{hidden}"),
+            task: Some(number),
+            ..Disc::default()
+        }
+    });
+    Picture {
+        field: Some(Field::grid(SIDE.into(), SIDE.into()).upwards()),
+        agents: agents.collect(),
+        things: things.collect(),
+        ..Picture::default()
     }
 }
 

@@ -12,8 +12,9 @@ use super::physics::{
     Body, MOVES, Mover, Nearest, Point, SEEN, anywhere, distance, from_to, pair_nearest,
     squared_distance, towards,
 };
-use super::scenario::{Disc, Drawn, Names, Picture, Row, Scenario, Spot, Thing};
+use super::scenario::{Names, Row, Scenario, Spot, agent, drawn};
 use crate::bytes::Reader;
+use crate::picture::{Disc, Outline, Picture, lettered};
 use crate::random::{Random, below};
 use crate::spec::{Metric, Role};
 pub use world::{Hand, Hoard, Stage, Treasure};
@@ -217,20 +218,36 @@ impl Scenario for TreasureCollection {
     }
 
     fn picture(&self, world: &Hoard) -> Picture {
-        let agent = |(agent, mover): (usize, &Mover)| Drawn {
-            disc: Some(Disc { place: mover.position, radius: self.bodies[agent].radius }),
-            takes: agent.checked_sub(self.collectors).map(|kind| kind as u8),
-            holds: world.hands.get(agent).and_then(|hand| hand.now),
-            ..Drawn::default()
+        let letter = |kind: u8| lettered(kind.into()).to_lowercase();
+        let movers = world.movers.iter().enumerate();
+        let agents = movers.map(|(number, mover)| {
+            let disc = Some((mover.position, self.bodies[number].radius));
+            if let Some(kind) = number.checked_sub(self.collectors).map(|kind| kind as u8) {
+                let label = format!("{number}{}", lettered(kind.into()));
+                let (outline, about) = (Outline::Square, format!("takes {}", letter(kind)));
+                return Disc {
+                    label,
+                    colour: Some(kind),
+                    outline,
+                    about,
+                    ..agent("bank", number, disc)
+                };
+            }
+            let colour = world.hands[number].now;
+            let holds = colour.map(letter);
+            let label = holds.as_ref().map_or(String::new(), |kind| format!("{number}{kind}"));
+            let status = format!("holds {}", holds.as_deref().unwrap_or("nothing"));
+            Disc { label, colour, status, ..agent("collector", number, disc) }
+        });
+        let thing = |treasure: &Treasure| Disc {
+            name: letter(treasure.kind),
+            kind: "treasure",
+            outline: Outline::Diamond,
+            colour: Some(treasure.kind),
+            place: treasure.is_alive().then_some(treasure.position),
+            ..Disc::default()
         };
-        let thing = |treasure: &Treasure| {
-            let disc = Disc { place: treasure.position, radius: TREASURE_RADIUS };
-            Thing { disc: treasure.is_alive().then_some(disc), kind: Some(treasure.kind) }
-        };
-        Picture {
-            agents: world.movers.iter().enumerate().map(agent).collect(),
-            things: world.treasures.iter().map(thing).collect(),
-        }
+        drawn(agents.collect(), world.treasures.iter().map(thing).collect())
     }
 
     /// Writes everybody's action.

@@ -1,41 +1,56 @@
-//! What there is to draw.
+//! What a maze looks like.
 
-use sortie_envs::gridworld::{Cell, SIDE, picture_of};
+use sortie_envs::Picture;
+use sortie_envs::gridworld::SIDE;
 use sortie_envs::random::generator;
 
 use super::{opened, saved};
+
+/// How many cells are of a kind.
+fn count(picture: &Picture, kind: &str) -> usize {
+    picture.cells.iter().filter(|cell| cell.kind == kind).count()
+}
 
 #[test]
 fn a_picture_is_what_the_state_says() {
     let mut world = opened("task1-2", &[]);
     world.reset(0, &mut generator(1));
-    let spec = world.spec().clone();
-    let cells: Vec<Cell> = Cell::all(&spec).collect();
-    assert_eq!(cells.len(), SIDE * SIDE);
-    assert_eq!(cells[0], Cell::Wall);
     let mut state = saved(&*world);
-    let picture = picture_of(&spec, &state).expect("a state");
-    assert_eq!((picture.tiers, &picture.found[..]), (0, &[0, 0][..]));
-    assert!(picture.cells.iter().all(|cell| cells[usize::from(*cell)] == Cell::Free));
-    assert_eq!(picture.pits.len(), cells.iter().filter(|cell| **cell == Cell::Pit).count());
+    let picture = world.picture(&state);
+    assert_eq!(picture.field.expect("a grid").to, [SIDE as f64 - 0.5; 2]);
+    assert!(picture.cells[0].is_solid && picture.cells[0].kind == "wall");
+    let places: Vec<_> = picture.agents.iter().map(|agent| agent.place.expect("a place")).collect();
+    assert!(
+        !picture.cells.iter().any(|cell| places.contains(&cell.place)),
+        "they stand in free cells"
+    );
+    assert!(picture.agents.iter().all(|agent| agent.status == "found nothing"));
+    let pits = count(&picture, "pit");
+    assert_eq!(count(&picture, "treasure"), 2);
+    // What the first agent found, and the first pit.
     state[18] = 2;
     state[20..28].copy_from_slice(&0.25_f64.to_le_bytes());
-    let picture = picture_of(&spec, &state).expect("a state");
-    assert_eq!((picture.found[0], picture.pits[0].probability), (2, 0.25));
-    assert!(picture_of(&spec, &state[1..]).is_err());
+    state[32] = 1;
+    let picture = world.picture(&state);
+    assert_eq!(picture.agents[0].status, "found B");
+    assert_eq!((count(&picture, "pit"), count(&picture, "open pit")), (pits - 1, 1));
+    assert_eq!((count(&picture, "treasure"), count(&picture, "treasure, found")), (1, 1));
+    state[32] = 0;
+    let picture = world.picture(&state);
+    let first = picture.cells.iter().find(|cell| cell.kind == "pit").expect("a pit");
+    assert_eq!(first.label, "25");
 }
 
 #[test]
-fn doors_and_treasures_are_where_the_map_has_them() {
-    let spec = opened("flip-2", &[]).spec().clone();
-    let count = |wanted: fn(&Cell) -> bool| Cell::all(&spec).filter(wanted).count();
+fn doors_open_behind_tiers() {
+    let mut world = opened("flip-2", &[]);
+    world.reset(0, &mut generator(1));
+    let mut state = saved(&*world);
     // Eight paths in four tiers of two; those behind the first have doors.
-    assert_eq!(count(|cell| matches!(cell, Cell::Treasure(0..8))), 8);
-    for tier in 1..4 {
-        assert_eq!(Cell::all(&spec).filter(|cell| *cell == Cell::Door(tier)).count(), 2);
-    }
-    assert_eq!(count(|cell| matches!(cell, Cell::Door(_))), 6);
-    let maze = opened("task1-2", &[]).spec().clone();
-    let treasures = Cell::all(&maze).filter(|cell| matches!(cell, Cell::Treasure(_)));
-    assert_eq!(treasures.collect::<Vec<_>>(), [Cell::Treasure(0), Cell::Treasure(1)]);
+    let picture = world.picture(&state);
+    let found = |picture: &Picture| (count(picture, "door"), count(picture, "open door"));
+    assert_eq!((found(&picture), count(&picture, "treasure")), ((6, 0), 8));
+    state[13] = 1;
+    assert_eq!(found(&world.picture(&state)), (4, 2));
+    assert_eq!(world.picture(&state).cells.len(), picture.cells.len());
 }

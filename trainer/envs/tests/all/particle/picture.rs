@@ -1,19 +1,19 @@
 //! What is drawn of a state is what stands in it.
 
-use sortie_envs::Environment;
 use sortie_envs::particle::{
-    Hand, Hoard, Mover, Navigated, Navigation, Particle, Picture, Roved, RoverTower, Stage, Tower,
-    Treasure, TreasureCollection, picture_of,
+    Hand, Hoard, Mover, Navigated, Navigation, Particle, Roved, RoverTower, Stage, Tower, Treasure,
+    TreasureCollection,
 };
+use sortie_envs::{Environment, Picture};
 
-use super::{opened, saved};
+use super::saved;
 
 fn at(x: f64, y: f64) -> Mover {
     Mover { position: [x, y], velocity: [0.0; 2] }
 }
 
 fn picture(world: &dyn Environment) -> Picture {
-    picture_of(world.spec(), &saved(world)).expect("a state")
+    world.picture(&saved(world))
 }
 
 #[test]
@@ -27,19 +27,21 @@ fn collectors_banks_and_treasures_are_told_apart() {
         vec![treasure(0.1, Stage::Lies), treasure(0.2, Stage::Taken), treasure(0.3, Stage::New(0))];
     let movers = vec![at(0.0, 0.0), at(0.5, 0.0), at(-0.5, 0.0), at(0.0, -0.5)];
     world.start(0, Hoard { movers, hands, treasures, ..Hoard::default() });
-    let Picture { agents, things } = picture(&world);
-    assert_eq!(
-        agents.iter().map(|agent| agent.takes).collect::<Vec<_>>(),
-        [None, None, None, Some(0)]
-    );
-    let holds: Vec<_> = agents.iter().map(|agent| agent.holds).collect();
-    assert_eq!(holds, [None, Some(0), None, None]);
-    let radii: Vec<f64> = agents.iter().map(|agent| agent.disc.expect("a place").radius).collect();
+    let Picture { agents, things, .. } = picture(&world);
+    let kinds: Vec<_> = agents.iter().map(|agent| agent.kind).collect();
+    assert_eq!(kinds, ["collector", "collector", "collector", "bank"]);
+    let told: Vec<_> =
+        agents.iter().map(|agent| [&agent.status[..], &agent.about].concat()).collect();
+    assert_eq!(told, ["holds nothing", "holds a", "holds nothing", "takes a"]);
+    let labels: Vec<_> = agents.iter().map(|agent| &agent.label[..]).collect();
+    assert_eq!(labels, ["", "1a", "", "3A"]);
+    let radii: Vec<f64> = agents.iter().map(|agent| agent.radius.expect("a radius")).collect();
     assert_eq!(radii, [0.05, 0.05, 0.05, 0.075]);
-    assert_eq!(agents[3].disc.expect("a place").place, [0.0, -0.5]);
-    let places = things.iter().map(|thing| thing.disc.map(|disc| disc.place));
+    assert_eq!(agents[3].place, Some([0.0, -0.5]));
+    let places = things.iter().map(|thing| thing.place);
     assert_eq!(places.collect::<Vec<_>>(), [Some([0.1, 0.5]), None, Some([0.3, 0.5])]);
-    assert!(things.iter().all(|thing| thing.kind == Some(0)));
+    // A treasure has the colour of whoever holds it, and of its bank.
+    assert!(things.iter().chain([&agents[1], &agents[3]]).all(|disc| disc.colour == Some(0)));
 }
 
 #[test]
@@ -48,16 +50,18 @@ fn rovers_and_towers_know_each_other() {
     let towers =
         vec![Tower { rover: 1, goal: 4, said: Some(3) }, Tower { rover: 0, goal: 2, said: None }];
     let landmarks = (0..6).map(|place| [f64::from(place) / 10.0, 0.0]).collect();
-    let movers = vec![at(0.1, 0.2), at(0.3, 0.4)];
+    let movers = vec![at(0.1, 0.2), at(0.9, 0.4)];
     world.start(0, Roved { movers, landmarks, towers, near: 0 });
-    let Picture { agents, things } = picture(&world);
-    let partners: Vec<_> = agents.iter().map(|agent| agent.partner).collect();
-    assert_eq!(partners, [Some(3), Some(2), Some(1), Some(0)]);
-    let goals: Vec<_> = agents.iter().map(|agent| agent.goal).collect();
-    assert_eq!(goals, [Some(2), Some(4), Some(4), Some(2)]);
-    assert_eq!((agents[2].says, agents[3].says), (Some(3), None));
-    assert!(agents[2].disc.is_none() && agents[1].disc.expect("a place").place == [0.3, 0.4]);
-    assert_eq!(things[5].disc.expect("a place").place, [0.5, 0.0]);
+    let Picture { agents, things, links, .. } = picture(&world);
+    let told: Vec<_> = agents.iter().map(|agent| &agent.about[..]).collect();
+    let [first, second] = ["led by 3 to C; heard nothing", "led by 2 to E; heard 3"];
+    assert_eq!(told, [first, second, "leads 1 to E; said 3", "leads 0 to C; said nothing"]);
+    assert_eq!((&agents[0].status[..], &agents[1].status[..]), ("near C", "away from E"));
+    let linked: Vec<_> = links.iter().map(|link| (link.name, link.from, link.to)).collect();
+    let of_first = [("pair", 0, 3), ("goal", 0, 6), ("goal", 3, 6)];
+    assert_eq!(linked, [of_first, [("pair", 1, 2), ("goal", 1, 8), ("goal", 2, 8)]].concat());
+    assert!(agents[2].place.is_none() && agents[1].place == Some([0.9, 0.4]));
+    assert_eq!(things[5].place, Some([0.5, 0.0]));
     // Who belongs together is told to whoever measures attention.
     let mut companions = [0; 4];
     assert!(world.companions(&saved(&world), &mut companions));
@@ -70,21 +74,9 @@ fn agents_that_are_all_alike_have_places_alone() {
     let movers = vec![at(0.1, 0.2), at(0.3, 0.4)];
     let landmarks = vec![[0.5, 0.5], [-0.5, -0.5]];
     world.start(0, Navigated { movers, landmarks, collisions: 0, uncovered: 0.0 });
-    let Picture { agents, things } = picture(&world);
-    let places: Vec<_> = agents.iter().map(|agent| agent.disc.expect("a place").place).collect();
-    assert_eq!(places, [[0.1, 0.2], [0.3, 0.4]]);
-    assert_eq!(things[1].disc.expect("a place").place, [-0.5, -0.5]);
-    assert!(!world.companions(&saved(&world), &mut [0; 2]));
-}
-
-#[test]
-fn other_bytes_are_no_picture() {
-    for set in ["treasure-8", "rover-tower-8", "navigation-3"] {
-        let world = opened(set, &[]);
-        let state = saved(&*world);
-        assert_eq!(picture_of(world.spec(), &state).expect("a state").agents.len(), {
-            world.spec().shape.agents
-        });
-        assert!(picture_of(world.spec(), &state[1..]).is_err(), "{set}");
-    }
+    let Picture { agents, things, links, .. } = picture(&world);
+    let places: Vec<_> = agents.iter().map(|agent| agent.place).collect();
+    assert_eq!(places, [Some([0.1, 0.2]), Some([0.3, 0.4])]);
+    assert_eq!((things[1].place, &things[1].name[..]), (Some([-0.5, -0.5]), "B"));
+    assert!(links.is_empty() && !world.companions(&saved(&world), &mut [0; 2]));
 }

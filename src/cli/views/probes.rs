@@ -1,0 +1,121 @@
+//! What is asked of a team beside what it does: whom agents attend to, what they make of their actions, what teams are worth.
+
+use sortie_bundle::Bundle;
+use sortie_core::allocate::{TaskRelation, TeamQuery, TeamValueNetwork};
+use sortie_core::choose::masked_argmax;
+use sortie_core::{AllocateError, DecideError, Decision, Observation, Policy};
+use sortie_envs::Environment;
+use sortie_learn::LearnError;
+use sortie_learn::subtasks::{AllocatorNetworks, LearnedAllocator, allocation_state};
+use sortie_pages::TeamValueProbe;
+use sortie_plans::{AttentionLayers, AttentionProbe, roles_of};
+use sortie_stage::Thought;
+
+use crate::allocator::LearnedAllocator as DeployedLearned;
+use crate::environment::entry_of;
+use crate::failure::Failure;
+use crate::policy::Backend;
+use crate::subject::Subject;
+use crate::tools::compiler;
+use crate::worlds::relation;
+
+/// What tells whom a bundle's agents attend to; none where they attend to nobody that is known.
+pub(super) fn attention_of(bundle: &Bundle) -> Result<Option<AttentionLayers>, Failure> {
+    let attends = bundle.options().is_none() && roles_of(bundle)?.is_none();
+    Ok(attends.then(|| compiler().attention(bundle.agent_onnx())).transpose()?)
+}
+
+/// Decides by a bundle as deployed and notes every thought, in the order of the decisions; with the attention read from its
+/// graph.
+pub(super) struct Diary<'a> {
+    policy: Box<dyn Policy + 'a>,
+    /// None where the network attends to nothing that is known.
+    probe: Option<AttentionProbe>,
+    pub(super) thoughts: Vec<Thought>,
+}
+
+impl<'a> Diary<'a> {
+    pub(super) fn new(bundle: &Bundle, policy: Box<dyn Policy + 'a>) -> Result<Self, Failure> {
+        let features = usize::from(bundle.contract().features);
+        let probe = attention_of(bundle)?.map(|layers| AttentionProbe::new(layers, features));
+        Ok(Self { policy, probe, thoughts: Vec::new() })
+    }
+}
+
+impl Policy for Diary<'_> {
+    fn actions(&self) -> usize {
+        self.policy.actions()
+    }
+
+    fn utilities(
+        &mut self,
+        observation: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        self.policy.utilities(observation, utilities)
+    }
+
+    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
+        let mut utilities = vec![0.0; self.policy.actions()];
+        self.policy.utilities(observation, &mut utilities)?;
+        let attention = self.probe.as_ref().map(|probe| probe.by_entity(observation));
+        self.thoughts.push(Thought::new(&utilities, attention.transpose()?.unwrap_or_default()));
+        masked_argmax(&utilities, observation.available)
+    }
+}
+
+/// Asks the network of a subject, if it learned to value teams.
+pub(super) fn values_of(subject: &Subject) -> Result<Option<TeamValueProbe<'_>>, Failure> {
+    match subject {
+        Subject::Run(run) => {
+            let learned = run.method.subtasks().and_then(|subtasks| subtasks.allocator);
+            Ok(learned.and_then(values_of_run))
+        }
+        Subject::Bundle(bundle) if bundle.allocator_onnx().is_some() => {
+            values_of_bundle(bundle).map(Some)
+        }
+        Subject::Bundle(_) | Subject::Scripted => Ok(None),
+    }
+}
+
+/// A run's, by the method's own pass.
+fn values_of_run(learned: LearnedAllocator<'_>) -> Option<TeamValueProbe<'_>> {
+    let LearnedAllocator { mut allocate, networks, team_max } = learned;
+    let values_teams = matches!(networks, AllocatorNetworks::TeamValue(_));
+    values_teams.then(|| TeamValueProbe {
+        ask: Box::new(move |environment, state, task, teams| {
+            Ok(allocate.values(environment, state, task, teams))
+        }),
+        team_max: team_max.unwrap_or(usize::MAX),
+    })
+}
+
+/// A bundle's, by what executes its network in a deployed team.
+fn values_of_bundle(bundle: &Bundle) -> Result<TeamValueProbe<'_>, Failure> {
+    let entry = entry_of(bundle)?;
+    let mut learned = DeployedLearned::open(bundle, Backend::Plan)?;
+    let ask = move |environment: &dyn Environment, state: &[u8], task, teams: &[u64]| {
+        let state = allocation_state(environment, state);
+        let state = state.view();
+        let mut related = relation(entry).map_err(failed)?;
+        related.observe(&state).map_err(refused)?;
+        let mut rows = vec![0.0; state.entity_task.len() * related.columns()];
+        related.write(&state, task, &mut rows);
+        let mut network = learned.network().map_err(failed)?;
+        let value = |&team| {
+            let query = TeamQuery { state: &state, task, team, relation: &rows };
+            network.value(&query).map_err(refused)
+        };
+        teams.iter().map(value).collect()
+    };
+    let team_max = bundle.manifest().limits.team_max.into();
+    Ok(TeamValueProbe { ask: Box::new(ask), team_max })
+}
+
+fn failed(failure: Failure) -> LearnError {
+    LearnError::Team(failure.message)
+}
+
+fn refused(error: AllocateError) -> LearnError {
+    LearnError::Team(error.to_string())
+}

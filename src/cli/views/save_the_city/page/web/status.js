@@ -1,2 +1,0 @@
-const STATUS = ["open", "complete", "burned down"];
-
