@@ -101,12 +101,14 @@ pub fn open(
     Ok((environment, method))
 }
 
-/// Names the environment where nobody did and only one fits the method, and its first set where there is none.
+/// Names the environment where nobody did and only one fits the method, or the one that it is compared with, and its first
+/// set where there is none.
 pub fn settle(entry: &MethodEntry, choice: &mut EnvironmentChoice) -> Outcome {
     if choice.name.is_empty() {
+        let usual = entry.compared_with.unwrap_or(entry);
         let fits = |other: &&Entry| {
             let opened = sortie_envs::open(other.name, Split::Train, 0, &BTreeMap::new());
-            opened.is_ok_and(|environment| (entry.misfit)(environment.spec()).is_none())
+            opened.is_ok_and(|environment| (usual.misfit)(environment.spec()).is_none())
         };
         let fitting: Vec<&Entry> = ENVIRONMENTS.iter().filter(fits).collect();
         let [only] = fitting[..] else {

@@ -173,7 +173,8 @@ fn an_unknown_environment_lists_the_known_ones() {
 
 #[test]
 fn an_environment_that_a_method_does_not_fit_is_named_with_what_fits() {
-    let words = ["`alma`", "`group-matching`", "no subtasks", "what fits: qmix, vdn, refil"];
+    let words =
+        ["`alma`", "`group-matching`", "no subtasks", "what fits: flat, copa, qmix, vdn, refil"];
     let refused = ["train", "alma", "--env", "group-matching", "--out", "no-such-folder"];
     assert_fails(&output(&refused), 2, &words);
     let stepped = output(&["bench", "env", "--env", "group-matching", "--seconds", "0.01"]);

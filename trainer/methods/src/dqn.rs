@@ -181,6 +181,7 @@ pub const DQN: MethodEntry = MethodEntry {
     keys: |_| KEYS,
     presets: &[Preset { name: "fast", setup: fast }, Preset { name: "paper", setup: paper }],
     flags: &[],
+    compared_with: None,
     in_proportion: &[],
     suit: |_, _, _| {},
     settle_older: |_| {},

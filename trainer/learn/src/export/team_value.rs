@@ -46,7 +46,7 @@ fn declare_team_value(graph: &mut Graph, features: usize, relations: usize) {
     for (name, doc) in [
         ("present", "True where the entity exists."),
         ("is_agent", "True for agents."),
-        ("in_task", "True for the subtask's rows; the first forms the query."),
+        ("in_task", "True for the subtask's own row; it forms the query."),
         ("open", "True for rows of open subtasks, the one in question among them."),
         ("team", "True for the agents of the team."),
     ] {

@@ -20,10 +20,12 @@ pub struct MethodEntry {
     pub about: &'static str,
     /// Its own keys; where it has several learners, those that the table's `learner` has.
     pub keys: fn(&Table) -> &'static [Section],
-    /// The setups that it comes with by their names, the default first; which environment is mostly up to who asks.
+    /// The setups that it comes with by their names, the default first; which environment is up to who asks.
     pub presets: &'static [Preset],
     /// What flags of the command line stand for.
     pub flags: &'static [Flag],
+    /// The method that it is compared with: where nobody says where to learn, it learns where that one can.
+    pub compared_with: Option<&'static MethodEntry>,
     /// Numbers of steps that a run shorter than the default preset's has shorter in proportion, unless they were given.
     pub in_proportion: &'static [&'static str],
     /// Fits a preset of this name to an environment that asks for other values.

@@ -132,6 +132,7 @@ pub const ALMA: MethodEntry = MethodEntry {
             ],
         },
     ],
+    compared_with: None,
     in_proportion: &["exploration.steps", "allocator.learns_from", "allocator.decides_from"],
     suit: |_, _, _| {},
     settle_older,
@@ -146,16 +147,15 @@ pub const FLAT: MethodEntry = MethodEntry {
     presets: &[
         Preset {
             name: "fast",
-            setup: || beside_alma(fast(|config| config.network.subtask = Conditioning::None)),
+            setup: || fast(|config| config.network.subtask = Conditioning::None),
         },
         Preset {
             name: "paper",
-            setup: || {
-                beside_alma(paper(|config| config.low_level.conditioning = Conditioning::None))
-            },
+            setup: || paper(|config| config.low_level.conditioning = Conditioning::None),
         },
     ],
     flags: &[MIXER],
+    compared_with: Some(&ALMA),
     misfit: shows_no_entities,
     ..ALMA
 };
@@ -165,10 +165,11 @@ pub const COPA: MethodEntry = MethodEntry {
     name: "copa",
     about: "Flat agents and a coach that sees everything and tells each of them a strategy now and then",
     presets: &[
-        Preset { name: "fast", setup: || beside_alma(coached()) },
-        Preset { name: "paper", setup: || beside_alma(paper(windows::Config::enable_coach)) },
+        Preset { name: "fast", setup: coached },
+        Preset { name: "paper", setup: || paper(windows::Config::enable_coach) },
     ],
     flags: &[],
+    compared_with: Some(&ALMA),
     misfit: shows_no_entities,
     ..ALMA
 };
@@ -191,12 +192,6 @@ fn coached() -> Setup {
     let mut config = windows::Config::like_fast();
     config.enable_coach();
     Setup::of(8, RunConfig::default(), &config)
-}
-
-/// Where ALMA learns, with which it is compared, unless another environment is named: it fits wherever there are entities.
-fn beside_alma(mut setup: Setup) -> Setup {
-    "save-the-city".clone_into(&mut setup.environment.name);
-    setup
 }
 
 fn misfit(spec: &Spec) -> Option<&'static str> {

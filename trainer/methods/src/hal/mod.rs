@@ -325,6 +325,7 @@ pub const HAL: MethodEntry = MethodEntry {
         Preset { name: "paper", setup: || paper(Mask::Learned) },
     ],
     flags: &[],
+    compared_with: None,
     in_proportion: &[],
     suit: |_, _, _| {},
     settle_older: |_| {},

@@ -102,6 +102,7 @@ pub const MA_EXP: MethodEntry = MethodEntry {
     keys: |own| if is_networks(own) { multi_explore::KEYS } else { KEYS },
     presets: &[Preset { name: "fast", setup: fast }, Preset { name: "paper", setup: paper }],
     flags: &[],
+    compared_with: None,
     in_proportion: &[],
     suit,
     settle_older: |_| {},

@@ -23,6 +23,7 @@ pub const MAAC: MethodEntry = MethodEntry {
         Preset { name: "paper", setup: paper },
     ],
     flags: &[],
+    compared_with: None,
     in_proportion: &[],
     suit,
     settle_older,

@@ -218,6 +218,7 @@ pub const QMIX: MethodEntry = MethodEntry {
         Preset { name: "paper", setup: || paper(plain) },
     ],
     flags: &[Flag { name: "--mixer", assignments: &["mixer.kind={}"] }],
+    compared_with: None,
     in_proportion: &[],
     suit: |_, _, _| {},
     settle_older: |_| {},
