@@ -1,0 +1,271 @@
+//! SMAX as an [`Environment`]: many battles at once, and what they say of themselves.
+
+use alloc::boxed::Box;
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec::Vec;
+
+use super::VERSION;
+use super::battle::{ATTACK, Battle, CAPACITY, STOP, TICK, heading, length, state_bytes};
+use super::observation::{PAIR, ROW_ENTRIES, row_names, vector_names};
+use super::scenarios::{Roster, Rules, SETS, team_name};
+use crate::bytes::known;
+use crate::entry::{Choice, Entry, EnvironmentError};
+use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
+use crate::observation::{EntitySet, Observation, members};
+use crate::random::{Random, member, unit};
+use crate::spec::{Metric, Shape, Spec, View};
+
+/// How `--env` finds it.
+pub const ENTRY: Entry = Entry {
+    name: "smax",
+    about: "Two teams of units fight on an open square, one of them led by a fixed rule (JaxMARL)",
+    version: VERSION,
+    sets: || SETS.split(' ').map(String::from).collect(),
+    open: |choice| Ok(Box::new(open(choice)?)),
+    rules: &[],
+    reader: None,
+    #[cfg(feature = "std")]
+    recordings: None,
+};
+
+const METRICS: &[Metric] = &[
+    Metric { name: "felled", unit: "enemies", about: "enemies that died", is_reported: true },
+    Metric { name: "alive", unit: "allies", about: "allies that lived", is_reported: true },
+];
+
+/// SMAX, many instances in one object. A step allocates nothing.
+#[derive(Clone, Debug)]
+pub struct Smax {
+    pub(super) rules: Rules,
+    pub(super) roster: Roster,
+    spec: Spec,
+    pub(super) battles: Vec<Battle>,
+}
+
+impl Smax {
+    /// Sets up so many instances, whose episodes are over.
+    pub(super) fn new(rules: Rules, roster: Roster, instances: usize) -> Self {
+        let [allies, enemies] = &roster.teams[0];
+        let mut battle = Battle::of(allies, enemies);
+        battle.steps = rules.max_steps + 1;
+        let battles = (0..instances).map(|_| battle.clone()).collect();
+        Self { battles, spec: spec(&rules, &roster), rules, roster }
+    }
+
+    fn read(&self, state: &[u8]) -> Result<Battle, StateError> {
+        Battle::read(state, self.roster.most())
+    }
+}
+
+fn open(choice: &Choice<'_>) -> Result<Smax, EnvironmentError> {
+    let set = choice.set.unwrap_or("2s3z");
+    let rules: Rules = choice.settings()?;
+    let unknown = || {
+        let reason = format!(
+            "no set `{set}`; there are `3-8sz` and `3-8sz+1`, `smacv2_N_units`, and teams such as `2s3z` or `5m_vs_6m` of \
+             m (marines), M (marauders), s (stalkers), z (zealots), l (zerglings), h (hydralisks), together at most \
+             {CAPACITY}"
+        );
+        EnvironmentError::Set(reason)
+    };
+    let roster = Roster::named(set).ok_or_else(unknown)?;
+    let refused = |reason: &str| Err(EnvironmentError::Setting(reason.to_string()));
+    if rules.max_steps > 1_000_000 {
+        return refused("`max_steps` is at most 1000000");
+    }
+    if rules.vectors && roster.teams.len() > 1 {
+        return refused("`vectors` have one length, but teams of this set have several sizes");
+    }
+    Ok(Smax::new(rules, roster, choice.instances))
+}
+
+fn spec(rules: &Rules, roster: &Roster) -> Spec {
+    let [agents, enemies] = roster.most();
+    let units = agents + enemies;
+    let attacks = (0..enemies).map(|enemy| format!("attack-{enemy}"));
+    let others = ["north", "east", "south", "west", "stop"].map(String::from);
+    let actions: Vec<String> = others.into_iter().chain(attacks).collect();
+    let general = Spec {
+        name: ENTRY.name,
+        version: VERSION,
+        shape: Shape { agents, entities: units, tasks: 0, actions: actions.len(), features: 0 },
+        actions,
+        safe_action: Some(STOP.into()),
+        metrics: METRICS,
+        state_bytes: state_bytes(units),
+        episode_limit: rules.max_steps + 1,
+        ..Spec::default()
+    };
+    if rules.vectors {
+        let features = vector_names(units);
+        let (row_entries, entities) = (features.len(), agents + 1);
+        let shape = Shape { entities, features: row_entries, ..general.shape };
+        return Spec { view: View::Vectors, shape, features, row_entries, ..general };
+    }
+    let features = row_names([agents, enemies], rules);
+    let pairs = if rules.pairs { PAIR * enemies } else { 0 };
+    Spec {
+        shape: Shape { features: features.len(), ..general.shape },
+        targets: agents..units,
+        pairs: features.len() - pairs..features.len(),
+        row_entries: ROW_ENTRIES + pairs,
+        features,
+        ..general
+    }
+}
+
+impl Environment for Smax {
+    fn spec(&self) -> &Spec {
+        &self.spec
+    }
+
+    fn instances(&self) -> usize {
+        self.battles.len()
+    }
+
+    fn open(&self, instances: usize, _: Split) -> Box<dyn Environment> {
+        Box::new(Self::new(self.rules.clone(), self.roster.clone(), instances))
+    }
+
+    fn reset(&mut self, instance: usize, random: &mut Random) {
+        let battle = &mut self.battles[instance];
+        *battle = self.roster.draw(random);
+        battle.push_apart(&self.rules);
+    }
+
+    fn step(
+        &mut self,
+        instance: usize,
+        actions: &[u16],
+        random: &mut Random,
+    ) -> Result<Step, StepError> {
+        let (rules, battle) = (&self.rules, &mut self.battles[instance]);
+        if battle.is_over(rules) {
+            return Err(StepError::EpisodeOver);
+        }
+        let agents = battle.allies;
+        let too_few = StepError::TooFewActions { agents, actions: actions.len() };
+        let actions = actions.get(..agents).ok_or(too_few)?;
+        for (agent, action) in actions.iter().copied().enumerate() {
+            let available = battle.available(agent).checked_shr(action.into());
+            if available.is_none_or(|available| available & 1 == 0) {
+                return Err(StepError::Unavailable { agent, action });
+            }
+        }
+        let allies = battle.units.iter_mut().zip(actions);
+        allies.for_each(|(ally, action)| ally.order = *action as u8);
+        battle.command(rules, |_, allies| member(random, allies.into()).unwrap_or(0));
+        let reward = battle.fight(rules, |_, _| TICK * (3.0 * unit(random) as f32 - 1.0)).into();
+        let terminated = battle.alive().contains(&0);
+        let timed_out = !terminated && battle.is_over(rules);
+        Ok(Step { reward, terminated, timed_out, tasks_changed: false })
+    }
+
+    fn save(&self, instance: usize, state: &mut Vec<u8>) {
+        self.battles[instance].write(state);
+    }
+
+    fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {
+        let battle = self.read(state)?;
+        let kinds = battle.units.map(|unit| unit.kind);
+        let (allies, enemies) = kinds[..battle.count].split_at(battle.allies);
+        let is_known = self.roster.has(allies, enemies);
+        if !is_known || battle.steps > self.spec.episode_limit {
+            let (allies, enemies) = (team_name(allies), team_name(enemies));
+            let reason = format!("{allies} fight {enemies} for {} steps", battle.steps);
+            return Err(StateError::Impossible(reason));
+        }
+        self.battles[instance] = battle;
+        Ok(())
+    }
+
+    fn observe(&self, state: &[u8], _: usize, wanted: EntitySet, seen: &mut Observation) {
+        let battle = &known(self.read(state));
+        let (agents, is_vectors) = (self.spec.shape.agents, self.rules.vectors);
+        let units = |units: core::ops::Range<usize>, holds: &dyn Fn(usize) -> bool| {
+            let entity =
+                |unit| if unit < battle.allies { unit } else { agents + unit - battle.allies };
+            units
+                .filter(|unit| holds(*unit))
+                .fold(0, |set: EntitySet, unit| set | 1 << entity(unit))
+        };
+        seen.absent = units(0..battle.allies, &|ally| !battle.units[ally].is_alive()) as u64;
+        // Of all enemies together a vector tells, and behind the agents the one of the whole state.
+        let shown = if is_vectors { battle.allies + 1 } else { battle.count };
+        seen.present = units(0..shown, &|_| true);
+        seen.entities = wanted & seen.present;
+        seen.observable.clear();
+        seen.observable.extend((0..battle.allies).map(|agent| {
+            let shown = if is_vectors { agent..agent + 1 } else { 0..battle.count };
+            units(shown, &|other| battle.sees(agent, other))
+        }));
+        seen.observable.resize(agents, 0);
+        seen.available.clear();
+        seen.available.extend((0..battle.allies).map(|agent| battle.available(agent)));
+        seen.available.resize(agents, 1);
+        seen.entity_task.clear();
+        seen.entity_task.resize(self.spec.shape.entities, 0);
+        seen.open_tasks = 0;
+        seen.rows.clear();
+        for entity in members(seen.entities) {
+            let unit = if entity < agents { entity } else { battle.allies + entity - agents };
+            if is_vectors {
+                let mut vector = [0.0; VECTOR];
+                let vector = &mut vector[..self.spec.shape.features];
+                if entity < agents {
+                    battle.write_vector(&self.rules, unit, vector);
+                } else {
+                    battle.write_state(vector);
+                }
+                seen.rows.push_dense(vector);
+            } else {
+                battle.write_row((&self.rules, &self.roster), unit, entity, &mut seen.rows);
+            }
+        }
+    }
+
+    fn episode(&self, instance: usize) -> Episode {
+        let battle = &self.battles[instance];
+        let kinds = battle.units.map(|unit| unit.kind);
+        let teams = kinds[..battle.count].split_at(battle.allies);
+        let (allies, enemies) = (team_name(teams.0), team_name(teams.1));
+        let [alive, left] = battle.alive();
+        let done = battle.is_over(&self.rules);
+        let felled = teams.1.len() as f64 - f64::from(left);
+        Episode {
+            steps: battle.steps,
+            done,
+            solved: alive > 0 && left == 0,
+            timed_out: done && alive > 0 && left > 0,
+            episode_return: battle.episode_return,
+            group: if allies == enemies { allies } else { format!("{allies}_vs_{enemies}") },
+            metrics: [Some(felled), Some(alive.into())].to_vec(),
+            cause: None,
+        }
+    }
+
+    /// All shoot at the weakest enemy within reach, and else go to the nearest.
+    fn scripted(&self, state: &[u8], _: &[u8], _: &mut Random, actions: &mut [u16]) -> bool {
+        let battle = &known(self.read(state));
+        let living =
+            || (battle.allies..battle.count).filter(|enemy| battle.units[*enemy].is_alive());
+        for (agent, action) in actions.iter_mut().enumerate().take(battle.allies) {
+            let attack = |enemy: usize| usize::from(ATTACK) + enemy - battle.allies;
+            let within =
+                living().filter(|enemy| battle.available(agent) >> attack(*enemy) & 1 == 1);
+            let ways = living().map(|enemy| battle.way(agent, enemy));
+            let nearest = ways.min_by(|one, other| length(*one).total_cmp(&length(*other)));
+            *action = match (within.min_by_key(|enemy| battle.units[*enemy].health), nearest) {
+                _ if !battle.units[agent].is_alive() => STOP.into(),
+                (Some(weakest), _) => attack(weakest) as u16,
+                (None, Some(way)) => heading(way).into(),
+                (None, None) => STOP.into(),
+            };
+        }
+        true
+    }
+}
+
+/// Most numbers of a vector: of all other units, and its own.
+const VECTOR: usize = 13 * CAPACITY;
