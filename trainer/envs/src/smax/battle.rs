@@ -86,10 +86,18 @@ impl Battle {
         Self { steps: 0, episode_return: 0.0, allies, count, units }
     }
 
+    fn sides(&self) -> [&[Unit]; 2] {
+        self.units[..self.count].split_at(self.allies).into()
+    }
+
+    /// The types of both teams.
+    pub(super) fn teams(&self) -> [Vec<u8>; 2] {
+        self.sides().map(|team| team.iter().map(|unit| unit.kind).collect())
+    }
+
     /// Allies and enemies that are alive.
     pub(super) fn alive(&self) -> [u32; 2] {
-        let (allies, enemies) = self.units[..self.count].split_at(self.allies);
-        [allies, enemies].map(|team| team.iter().map(|unit| u32::from(unit.is_alive())).sum())
+        self.sides().map(|team| team.iter().map(|unit| u32::from(unit.is_alive())).sum())
     }
 
     pub(super) fn is_over(&self, rules: &Rules) -> bool {

@@ -7,8 +7,8 @@ use alloc::vec::Vec;
 
 use super::VERSION;
 use super::battle::{ATTACK, Battle, CAPACITY, STOP, TICK, heading, length, state_bytes};
-use super::observation::{PAIR, ROW_ENTRIES, row_names, vector_names};
-use super::scenarios::{Roster, Rules, SETS, team_name};
+use super::observation::{OTHER, PAIR, ROW_ENTRIES, row_names, vector_names};
+use super::scenarios::{Roster, Rules, SETS, set_name};
 use crate::bytes::known;
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
@@ -61,15 +61,13 @@ impl Smax {
 fn open(choice: &Choice<'_>) -> Result<Smax, EnvironmentError> {
     let set = choice.set.unwrap_or("2s3z");
     let rules: Rules = choice.settings()?;
-    let unknown = || {
-        let reason = format!(
+    let roster = Roster::named(set).ok_or_else(|| {
+        EnvironmentError::Set(format!(
             "no set `{set}`; there are `3-8sz` and `3-8sz+1`, `smacv2_N_units`, and teams such as `2s3z` or `5m_vs_6m` of \
              m (marines), M (marauders), s (stalkers), z (zealots), l (zerglings), h (hydralisks), together at most \
              {CAPACITY}"
-        );
-        EnvironmentError::Set(reason)
-    };
-    let roster = Roster::named(set).ok_or_else(unknown)?;
+        ))
+    })?;
     let refused = |reason: &str| Err(EnvironmentError::Setting(reason.to_string()));
     if rules.max_steps > 1_000_000 {
         return refused("`max_steps` is at most 1000000");
@@ -156,7 +154,7 @@ impl Environment for Smax {
         let allies = battle.units.iter_mut().zip(actions);
         allies.for_each(|(ally, action)| ally.order = *action as u8);
         battle.command(rules, |_, allies| member(random, allies.into()).unwrap_or(0));
-        let reward = battle.fight(rules, |_, _| TICK * (3.0 * unit(random) as f32 - 1.0)).into();
+        let reward = battle.fight(rules, |_, _| jitter(random)).into();
         let terminated = battle.alive().contains(&0);
         let timed_out = !terminated && battle.is_over(rules);
         Ok(Step { reward, terminated, timed_out, tasks_changed: false })
@@ -168,12 +166,9 @@ impl Environment for Smax {
 
     fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {
         let battle = self.read(state)?;
-        let kinds = battle.units.map(|unit| unit.kind);
-        let (allies, enemies) = kinds[..battle.count].split_at(battle.allies);
-        let is_known = self.roster.has(allies, enemies);
-        if !is_known || battle.steps > self.spec.episode_limit {
-            let (allies, enemies) = (team_name(allies), team_name(enemies));
-            let reason = format!("{allies} fight {enemies} for {} steps", battle.steps);
+        let teams = battle.teams();
+        if !self.roster.has(&teams) || battle.steps > self.spec.episode_limit {
+            let reason = format!("`{}` after {} steps", set_name(&teams), battle.steps);
             return Err(StateError::Impossible(reason));
         }
         self.battles[instance] = battle;
@@ -182,30 +177,28 @@ impl Environment for Smax {
 
     fn observe(&self, state: &[u8], _: usize, wanted: EntitySet, seen: &mut Observation) {
         let battle = &known(self.read(state));
-        let (agents, is_vectors) = (self.spec.shape.agents, self.rules.vectors);
-        let units = |units: core::ops::Range<usize>, holds: &dyn Fn(usize) -> bool| {
-            let entity =
-                |unit| if unit < battle.allies { unit } else { agents + unit - battle.allies };
-            units
-                .filter(|unit| holds(*unit))
-                .fold(0, |set: EntitySet, unit| set | 1 << entity(unit))
-        };
-        seen.absent = units(0..battle.allies, &|ally| !battle.units[ally].is_alive()) as u64;
+        let (Shape { agents, entities, .. }, is_vectors) = (self.spec.shape, self.rules.vectors);
         // Of all enemies together a vector tells, and behind the agents the one of the whole state.
         let shown = if is_vectors { battle.allies + 1 } else { battle.count };
-        seen.present = units(0..shown, &|_| true);
+        let set = |holds: &dyn Fn(usize) -> bool| {
+            let shown = (0..shown).filter(|unit| holds(*unit));
+            shown.fold(0, |set: EntitySet, unit| {
+                set | 1 << if unit < battle.allies { unit } else { agents + unit - battle.allies }
+            })
+        };
+        seen.present = set(&|_| true);
+        seen.absent = set(&|unit| unit < battle.allies && !battle.units[unit].is_alive()) as u64;
         seen.entities = wanted & seen.present;
         seen.observable.clear();
         seen.observable.extend((0..battle.allies).map(|agent| {
-            let shown = if is_vectors { agent..agent + 1 } else { 0..battle.count };
-            units(shown, &|other| battle.sees(agent, other))
+            set(&|other| battle.sees(agent, other) && (other == agent || !is_vectors))
         }));
         seen.observable.resize(agents, 0);
         seen.available.clear();
         seen.available.extend((0..battle.allies).map(|agent| battle.available(agent)));
         seen.available.resize(agents, 1);
         seen.entity_task.clear();
-        seen.entity_task.resize(self.spec.shape.entities, 0);
+        seen.entity_task.resize(entities, 0);
         seen.open_tasks = 0;
         seen.rows.clear();
         for entity in members(seen.entities) {
@@ -227,19 +220,16 @@ impl Environment for Smax {
 
     fn episode(&self, instance: usize) -> Episode {
         let battle = &self.battles[instance];
-        let kinds = battle.units.map(|unit| unit.kind);
-        let teams = kinds[..battle.count].split_at(battle.allies);
-        let (allies, enemies) = (team_name(teams.0), team_name(teams.1));
         let [alive, left] = battle.alive();
         let done = battle.is_over(&self.rules);
-        let felled = teams.1.len() as f64 - f64::from(left);
+        let felled = (battle.count - battle.allies) as f64 - f64::from(left);
         Episode {
             steps: battle.steps,
             done,
             solved: alive > 0 && left == 0,
             timed_out: done && alive > 0 && left > 0,
             episode_return: battle.episode_return,
-            group: if allies == enemies { allies } else { format!("{allies}_vs_{enemies}") },
+            group: set_name(&battle.teams()),
             metrics: [Some(felled), Some(alive.into())].to_vec(),
             cause: None,
         }
@@ -248,24 +238,27 @@ impl Environment for Smax {
     /// All shoot at the weakest enemy within reach, and else go to the nearest.
     fn scripted(&self, state: &[u8], _: &[u8], _: &mut Random, actions: &mut [u16]) -> bool {
         let battle = &known(self.read(state));
-        let living =
-            || (battle.allies..battle.count).filter(|enemy| battle.units[*enemy].is_alive());
+        let enemies = (battle.allies..battle.count).zip(u16::from(ATTACK)..);
+        let enemies = enemies.filter(|(enemy, _)| battle.units[*enemy].is_alive());
         for (agent, action) in actions.iter_mut().enumerate().take(battle.allies) {
-            let attack = |enemy: usize| usize::from(ATTACK) + enemy - battle.allies;
-            let within =
-                living().filter(|enemy| battle.available(agent) >> attack(*enemy) & 1 == 1);
-            let ways = living().map(|enemy| battle.way(agent, enemy));
+            let available = battle.available(agent);
+            let is_available = |action: &u16| available >> action & 1 == 1;
+            let within = enemies.clone().filter(|(_, attack)| is_available(attack));
+            let weakest = within.min_by_key(|(enemy, _)| battle.units[*enemy].health);
+            let ways = enemies.clone().map(|(enemy, _)| battle.way(agent, enemy));
             let nearest = ways.min_by(|one, other| length(*one).total_cmp(&length(*other)));
-            *action = match (within.min_by_key(|enemy| battle.units[*enemy].health), nearest) {
-                _ if !battle.units[agent].is_alive() => STOP.into(),
-                (Some(weakest), _) => attack(weakest) as u16,
-                (None, Some(way)) => heading(way).into(),
-                (None, None) => STOP.into(),
-            };
+            let wish = weakest.map(|(_, attack)| attack);
+            let wish = wish.or_else(|| nearest.map(|way| heading(way).into()));
+            *action = wish.filter(is_available).unwrap_or(STOP.into());
         }
         true
     }
 }
 
+/// Draws how many seconds more a cooldown lasts: from a tick less to two ticks more.
+pub(super) fn jitter(random: &mut Random) -> f32 {
+    TICK * (3.0 * unit(random) as f32 - 1.0)
+}
+
 /// Most numbers of a vector: of all other units, and its own.
-const VECTOR: usize = 13 * CAPACITY;
+const VECTOR: usize = OTHER * CAPACITY;

@@ -12,7 +12,7 @@ use crate::rows::SparseRows;
 const TOLD_NAMES: &str = "health x y moved-x moved-y attacked cooldown";
 const TOLD: usize = 7;
 /// What a vector tells of another unit, and of the agent itself; the latter is told of each unit in the whole state.
-const OTHER: usize = TOLD + TYPES;
+pub(super) const OTHER: usize = TOLD + TYPES;
 const OWN: usize = 4 + TYPES;
 /// Most columns of a row that are no zeros, pairs apart: which unit it is, on which side, of which type, and what is told,
 /// as nobody moves and attacks, or moves both ways.

@@ -128,11 +128,10 @@ impl Roster {
     }
 
     /// Whether these teams may meet.
-    pub(super) fn has(&self, allies: &[u8], enemies: &[u8]) -> bool {
-        self.teams.iter().any(|[ours, theirs]| match self.is_drawn {
-            true => allies == enemies && allies.len() == ours.len(),
-            false => allies == ours && enemies == theirs,
-        })
+    pub(super) fn has(&self, teams: &[Team; 2]) -> bool {
+        let [allies, enemies] = teams;
+        let is_mirror = allies == enemies && allies.len() == self.teams[0][0].len();
+        if self.is_drawn { is_mirror } else { self.teams.contains(teams) }
     }
 
     /// Draws teams and the places where they start, before they push each other away.
@@ -211,13 +210,16 @@ fn harder(team: Team) -> [[Team; 2]; 2] {
     enemies.map(|enemies| [team.clone(), enemies])
 }
 
-/// The letters of a team, each with a count before it, such as `2s3z`.
-pub(super) fn team_name(team: &[u8]) -> String {
-    let runs = team.chunk_by(|one, next| one == next);
-    runs.map(|run| format!("{}{}", run.len(), LETTERS[usize::from(run[0])])).collect()
+/// What two teams are called, such as `5m_vs_6m`, or `2s3z` where both are the same.
+pub(super) fn set_name(teams: &[Team; 2]) -> String {
+    let [allies, enemies] = teams.each_ref().map(|team| -> String {
+        let runs = team.chunk_by(|one, next| one == next);
+        runs.map(|run| format!("{}{}", run.len(), LETTERS[usize::from(run[0])])).collect()
+    });
+    if allies == enemies { allies } else { format!("{allies}_vs_{enemies}") }
 }
 
-/// The team that such a name stands for.
+/// The team that a name such as `2s3z` stands for.
 fn team(name: &str) -> Option<Team> {
     let mut team = Team::new();
     for run in name.split_inclusive(|sign: char| !sign.is_ascii_digit()) {

@@ -205,10 +205,10 @@ fn bytes_that_hold_no_state_are_refused_and_change_nothing() {
         (with(0, &[2]), StateError::Version { found: 2, wanted: 1 }),
         (with(1, &[4, 3]), impossible("4 allies meet 3 enemies")),
         (crowd, impossible("255 allies meet 1 enemies")),
-        (with(3, &102_u32.to_le_bytes()), impossible("1s2z fight 2s2z for 102 steps")),
+        (with(3, &102_u32.to_le_bytes()), impossible("`1s2z_vs_2s2z` after 102 steps")),
         (with(7, &f64::NAN.to_le_bytes()), impossible("its return is no number")),
         (with(unit, &[6]), impossible("a unit is of type 6")),
-        (with(unit, &[3, 0, 150]), impossible("3z fight 2s2z for 0 steps")),
+        (with(unit, &[3, 0, 150]), impossible("`3z_vs_2s2z` after 0 steps")),
         (with(unit + 1, &[9]), impossible("a unit took action 9")),
         (with(unit + 3 * 24 + 1, &[8]), impossible("a unit took action 8")),
         (with(unit + 2, &[161]), impossible("a unit of type 2 has a health of 161")),
@@ -225,9 +225,10 @@ fn bytes_that_hold_no_state_are_refused_and_change_nothing() {
     assert_eq!(saved(&other), good);
     assert_eq!(other.battles[0].units, skirmish().units);
     let drawn = smax("smacv2_5_units", Rules::default());
-    assert!(drawn.roster.has(&[1, 2, 3, 4, 5], &[1, 2, 3, 4, 5]));
-    assert!(!drawn.roster.has(&[1, 2, 3, 4, 5], &[1, 2, 3, 4, 4]));
-    assert!(!drawn.roster.has(&[1; 4], &[1; 4]));
+    let has = |allies: &[u8], enemies: &[u8]| drawn.roster.has(&[allies.into(), enemies.into()]);
+    assert!(has(&[1, 2, 3, 4, 5], &[1, 2, 3, 4, 5]));
+    assert!(!has(&[1, 2, 3, 4, 5], &[1, 2, 3, 4, 4]));
+    assert!(!has(&[1; 4], &[1; 4]));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Rules that recorded episodes do not show, or not at their bounds.
 
-use super::super::battle::{ATTACK, Battle, CAPACITY, NOBODY, STOP, TICK};
+use super::super::battle::{ATTACK, Battle, CAPACITY, NOBODY, STOP, TICK, Unit};
+use super::super::environment::jitter;
 use super::super::scenarios::{AttackMode, RANGE, Roster, RuleBook, Rules, SIGHT};
 use super::{saved, smax};
 use crate::random::{Random, generator};
@@ -145,9 +146,7 @@ fn drawn_teams_mirror_or_surround_each_other() {
         });
         mirrored += usize::from(is_mirror);
         let is_middle = |team: &[_]| {
-            team.iter().all(|unit: &super::super::battle::Unit| {
-                unit.place.iter().all(|part| (14.0..18.0).contains(part))
-            })
+            team.iter().all(|unit: &Unit| unit.place.iter().all(|part| (14.0..18.0).contains(part)))
         };
         if !is_mirror {
             assert!(is_middle(allies) || is_middle(enemies));
@@ -201,7 +200,7 @@ fn weapons_wait_for_their_period_and_no_longer() {
         duel.units[..2].iter_mut().for_each(|unit| unit.order = ATTACK);
         duel.fight(&Rules::default(), |tick, [unit, _]| {
             shots[unit].push(tick_of + tick);
-            TICK * (3.0 * crate::random::unit(&mut random) as f32 - 1.0)
+            jitter(&mut random)
         });
         tick_of += 8;
     }
@@ -220,6 +219,19 @@ fn weapons_wait_for_their_period_and_no_longer() {
     });
     assert_eq!((first, waits.units[1].cooldown), (vec![2], -0.5));
     assert_eq!(waits.units[0].cooldown, 0.61 - 5.0 * TICK);
+}
+
+#[test]
+fn cooldowns_differ_from_a_tick_less_to_two_more() {
+    let mut random = generator(4);
+    let drawn: Vec<f32> = (0..10_000).map(|_| jitter(&mut random)).collect();
+    let (least, most) = (
+        drawn.iter().fold(1.0, |a: f32, b| a.min(*b)),
+        drawn.iter().fold(0.0, |a: f32, b| a.max(*b)),
+    );
+    let mean = drawn.iter().sum::<f32>() / 10_000.0;
+    assert!((-TICK..-0.99 * TICK).contains(&least) && (1.99 * TICK..2.0 * TICK).contains(&most));
+    assert!((mean - 0.5 * TICK).abs() < 0.02 * TICK, "{mean}");
 }
 
 #[test]
