@@ -3,7 +3,7 @@
 use alloc::format;
 use alloc::vec::Vec;
 
-use super::scenarios::{
+use super::units::{
     AttackMode, DAMAGE, HEALTH, PERIOD, RADIUS, RANGE, RuleBook, Rules, SIGHT, SPEED, TYPES,
 };
 use crate::bytes::{LAYOUT, Reader};

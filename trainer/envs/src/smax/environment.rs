@@ -8,7 +8,8 @@ use alloc::vec::Vec;
 use super::VERSION;
 use super::battle::{ATTACK, Battle, CAPACITY, STOP, TICK, heading, length, state_bytes};
 use super::observation::{OTHER, PAIR, ROW_ENTRIES, row_names, vector_names};
-use super::scenarios::{Roster, Rules, SETS, set_name};
+use super::scenarios::{Roster, SETS, set_name};
+use super::units::Rules;
 use crate::bytes::known;
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
@@ -191,7 +192,8 @@ impl Environment for Smax {
         seen.entities = wanted & seen.present;
         seen.observable.clear();
         seen.observable.extend((0..battle.allies).map(|agent| {
-            set(&|other| battle.sees(agent, other) && (other == agent || !is_vectors))
+            // Whoever deploys a team asks for the dead too: they see themselves at least.
+            set(&|other| other == agent || !is_vectors && battle.sees(agent, other))
         }));
         seen.observable.resize(agents, 0);
         seen.available.clear();

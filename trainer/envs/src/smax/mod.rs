@@ -10,6 +10,7 @@ mod observation;
 mod scenarios;
 #[cfg(test)]
 mod tests;
+mod units;
 
 pub use environment::{ENTRY, Smax};
 

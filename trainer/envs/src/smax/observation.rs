@@ -5,7 +5,8 @@ use alloc::string::String;
 use alloc::vec::Vec;
 
 use super::battle::{ATTACK, Battle, SIDE};
-use super::scenarios::{HEALTH, PERIOD, Roster, RuleBook, Rules, SIGHT, TYPE_NAMES, TYPES};
+use super::scenarios::Roster;
+use super::units::{HEALTH, PERIOD, RuleBook, Rules, SIGHT, TYPE_NAMES, TYPES};
 use crate::rows::SparseRows;
 
 /// What is told of any unit, in rows and in vectors.

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use serde_json::Value;
 
 use super::super::battle::{Battle, NOBODY, Point, STOP, Unit};
-use super::super::scenarios::{AttackMode, RuleBook, Rules};
+use super::super::units::{AttackMode, RuleBook, Rules};
 
 /// Most that places, and all other numbers, differ.
 const PLACE: f64 = 2e-5;

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use super::super::battle::{Battle, STOP};
-use super::super::scenarios::{Rules, SETS};
+use super::super::scenarios::SETS;
+use super::super::units::Rules;
 use super::{opened, saved, smax};
 use crate::random::generator;
 use crate::registry::Setting;
@@ -136,7 +137,7 @@ fn rows_say_what_the_rule_book_says() {
     assert!(!row(&world, &seen, 8).contains_key("moved-x"));
     assert!(!row(&world, &seen, 10).contains_key("attacked"));
     assert!(row(&world, &seen, 0).contains_key("attacked"));
-    assert_eq!((seen.absent, seen.observable[1], seen.available[1]), (0b10, 0, 1 << STOP));
+    assert_eq!((seen.absent, seen.observable[1], seen.available[1]), (0b10, 0b10, 1 << STOP));
 
     // In a set of one size attacks are shares of the team's own last action.
     let mut fixed = smax("1s2z_vs_2s2z", Rules::default());

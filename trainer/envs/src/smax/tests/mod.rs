@@ -7,7 +7,8 @@ mod rules;
 use std::collections::BTreeMap;
 
 use super::environment::Smax;
-use super::scenarios::{Roster, Rules};
+use super::scenarios::Roster;
+use super::units::Rules;
 use crate::registry::Setting;
 use crate::{Environment, Split, open};
 

@@ -2,7 +2,8 @@
 
 use super::super::battle::{ATTACK, Battle, CAPACITY, NOBODY, STOP, TICK, Unit};
 use super::super::environment::jitter;
-use super::super::scenarios::{AttackMode, RANGE, Roster, RuleBook, Rules, SIGHT};
+use super::super::scenarios::Roster;
+use super::super::units::{AttackMode, RANGE, RuleBook, Rules, SIGHT};
 use super::{saved, smax};
 use crate::random::{Random, generator};
 use crate::{Environment, observe_and_step};
