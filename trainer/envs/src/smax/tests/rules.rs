@@ -390,6 +390,31 @@ fn time_runs_out_after_a_hundred_and_one_steps() {
 }
 
 #[test]
+fn units_that_start_too_near_are_pushed_apart() {
+    let mut world = smax("25m", Rules::default());
+    let mut start = world.roster.draw(&mut generator(8));
+    let drawn = start.clone();
+    start.push_apart(&world.rules);
+    world.reset(0, &mut generator(8));
+    assert_eq!(world.battles[0].units, start.units);
+    assert!(start.units != drawn.units);
+}
+
+#[test]
+fn a_draw_in_the_last_step_is_neither_won_nor_timed_out() {
+    let mut world = smax("1m", Rules::default());
+    let mut draw = battle(&[(MARINE, [13.0, 16.0])], &[(MARINE, [14.0, 16.0])]);
+    draw.steps = 100;
+    draw.units[..2].iter_mut().for_each(|unit| unit.health = 9);
+    world.battles[0] = draw;
+    let step = world.step(0, &[ATTACK.into()], &mut generator(1)).unwrap();
+    assert!(step.terminated && !step.timed_out);
+    let episode = world.episode(0);
+    assert!(episode.done && !episode.solved && !episode.timed_out);
+    assert_eq!((episode.steps, episode.metrics), (101, vec![Some(1.0), Some(0.0)]));
+}
+
+#[test]
 fn a_won_battle_returns_two() {
     let (mut world, mut random) = (smax("2s3z", Rules::default()), generator(5));
     let (mut won, mut actions) = (0, [0; 5]);
