@@ -48,6 +48,7 @@ mod recorded;
 pub mod registry;
 pub mod rows;
 pub mod save_the_city;
+pub mod smax;
 pub mod spec;
 mod throughput;
 pub mod treasure_rooms;
