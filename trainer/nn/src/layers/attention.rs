@@ -6,8 +6,8 @@
 //! because their weight is zero.
 //!
 //! All that attention does with the rows of a list are three things, which go back through each other: the
-//! [products](List::products) of a vector with each row are scores and, of slopes by the output, slopes by the weights;
-//! [weighted sums](List::sum) of rows are outputs and slopes by the query; and [multiples](List::add_multiples) of a vector
+//! products of a vector with each row are scores and, of slopes by the output, slopes by the weights;
+//! weighted sums of rows are outputs and slopes by the query; and multiples of a vector
 //! are what each row gets for its slopes.
 
 use std::ops::Range;
