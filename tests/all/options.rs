@@ -40,7 +40,8 @@ fn its_page_shows_what_it_goes_for_and_believes_beside_the_truth() {
     let (mut agreeing, mut bits) = (0, 0);
     for (state, step) in states.iter().zip(steps) {
         let thought = &state["thoughts"][0]["option"];
-        let (mask, truth) = (thought["mask"].as_u64().unwrap(), state["truth"].as_u64().unwrap());
+        let (mask, truth) =
+            (thought["mask"].as_u64().unwrap(), state["affordances"].as_u64().unwrap());
         agreeing += 11 - (mask ^ truth).count_ones();
         bits += 11;
         assert_eq!(thought["likelihoods"].as_array().unwrap().len(), 11);
