@@ -27,7 +27,7 @@ use crate::methods::{LearnedMethod, choose};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::replay;
 use crate::subject::{self, Subject};
-use probes::{Diary, values_of};
+use probes::{thinking_aloud, values_of};
 
 pub use live::cast;
 
@@ -184,10 +184,13 @@ fn think(
     let agents: Box<dyn Agents + '_> = match subject {
         Some(Subject::Bundle(bundle)) => {
             let mut deployed = DeployedPolicy::open(bundle, Backend::Plan)?;
-            let mut diary = Diary::new(bundle, deployed.policy()?)?;
-            let agents = Box::new(PolicyAgents::new(&mut diary));
-            let mut captured = watch(&mut AllocatedTeam::new(agents, allocator, interval))?;
-            captured.give_thoughts(diary.thoughts);
+            let mut thoughts = Vec::new();
+            let mut captured = {
+                let mut policy = thinking_aloud(bundle, deployed.policy()?, &mut thoughts)?;
+                let agents = Box::new(PolicyAgents::new(&mut policy));
+                watch(&mut AllocatedTeam::new(agents, allocator, interval))?
+            };
+            captured.give_thoughts(thoughts);
             return Ok(captured);
         }
         Some(Subject::Run(run)) => {

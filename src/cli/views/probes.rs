@@ -3,9 +3,10 @@
 use sortie_bundle::Bundle;
 use sortie_core::allocate::{TaskRelation, TeamQuery, TeamValueNetwork};
 use sortie_core::choose::masked_argmax;
-use sortie_core::{AllocateError, DecideError, Decision, Observation, Policy};
+use sortie_core::{AllocateError, Policy};
 use sortie_envs::Environment;
 use sortie_learn::LearnError;
+use sortie_learn::draft::DecoratedPolicy;
 use sortie_learn::subtasks::{AllocatorNetworks, LearnedAllocator, allocation_state};
 use sortie_pages::TeamValueProbe;
 use sortie_plans::{AttentionLayers, AttentionProbe, roles_of};
@@ -25,43 +26,22 @@ pub(super) fn attention_of(bundle: &Bundle) -> Result<Option<AttentionLayers>, F
     Ok(attends.then(|| compiler().attention(bundle.agent_onnx())).transpose()?)
 }
 
-/// Decides by a bundle as deployed and notes every thought, in the order of the decisions; with the attention read from its
-/// graph.
-pub(super) struct Diary<'a> {
+/// A bundle's policy as deployed that notes every thought, in the order of the decisions; with the attention read from its
+/// graph, where the network attends to anything that is known.
+pub(super) fn thinking_aloud<'a>(
+    bundle: &Bundle,
     policy: Box<dyn Policy + 'a>,
-    /// None where the network attends to nothing that is known.
-    probe: Option<AttentionProbe>,
-    pub(super) thoughts: Vec<Thought>,
-}
-
-impl<'a> Diary<'a> {
-    pub(super) fn new(bundle: &Bundle, policy: Box<dyn Policy + 'a>) -> Result<Self, Failure> {
-        let features = usize::from(bundle.contract().features);
-        let probe = attention_of(bundle)?.map(|layers| AttentionProbe::new(layers, features));
-        Ok(Self { policy, probe, thoughts: Vec::new() })
-    }
-}
-
-impl Policy for Diary<'_> {
-    fn actions(&self) -> usize {
-        self.policy.actions()
-    }
-
-    fn utilities(
-        &mut self,
-        observation: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        self.policy.utilities(observation, utilities)
-    }
-
-    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        let mut utilities = vec![0.0; self.policy.actions()];
-        self.policy.utilities(observation, &mut utilities)?;
-        let attention = self.probe.as_ref().map(|probe| probe.by_entity(observation));
-        self.thoughts.push(Thought::new(&utilities, attention.transpose()?.unwrap_or_default()));
+    thoughts: &'a mut Vec<Thought>,
+) -> Result<impl Policy + 'a, Failure> {
+    let features = usize::from(bundle.contract().features);
+    let mut probe = attention_of(bundle)?.map(|layers| AttentionProbe::new(layers, features));
+    Ok(DecoratedPolicy::new(policy, move |policy, observation, _| {
+        let mut utilities = vec![0.0; policy.actions()];
+        policy.utilities(observation, &mut utilities)?;
+        let attention = probe.as_mut().map(|probe| probe.by_entity(observation));
+        thoughts.push(Thought::new(&utilities, attention.transpose()?.unwrap_or_default()));
         masked_argmax(&utilities, observation.available)
-    }
+    }))
 }
 
 /// Asks the network of a subject, if it learned to value teams.
