@@ -31,8 +31,8 @@ impl SparseRows {
         self.entries.push((column as u16, value));
     }
 
-    /// Adds one feature, where it is no zero. It is written in any case and then kept or not: whether a place or a speed is
-    /// exactly zero is as good as random, so that a processor would guess wrong.
+    /// Adds one feature, where it is no zero. It is written in any case and then kept or not: whether a flag is set is as good
+    /// as random, so that a processor would guess wrong.
     #[inline]
     pub(crate) fn push_unless_zero(&mut self, column: usize, value: f32) {
         let before = self.entries.len();
