@@ -1,0 +1,128 @@
+//! A battle between ticks: units, what they were told to do, and who is still there.
+
+use super::units::Book;
+
+/// A place or a way, east and north.
+pub(super) type Point = [f32; 2];
+/// Units as bits.
+pub(super) type UnitSet = u64;
+
+/// Most units of both teams.
+pub(super) const CAPACITY: usize = 64;
+pub(super) const NOBODY: u8 = u8::MAX;
+
+/// What a unit was told to do; it holds until it is told something else.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) enum Order {
+    #[default]
+    Stop,
+    /// To go there, whatever it meets.
+    Go(Point),
+    /// To attack a unit until it is dead, and to follow it.
+    Attack(u8),
+    /// To heal a unit, and to follow it.
+    Heal(u8),
+    /// To go there and to fight whom it meets. Units of the other side alone do so: agents have no reflexes.
+    Advance(Point),
+}
+
+/// A unit between ticks.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Unit {
+    /// Its type, by its number in the [`Book`].
+    pub(super) kind: u8,
+    pub(super) place: Point,
+    pub(super) life: f32,
+    pub(super) shield: f32,
+    pub(super) energy: f32,
+    pub(super) order: Order,
+    /// Whom it fights or heals.
+    pub(super) target: u8,
+    /// Ticks until its weapon is ready.
+    pub(super) cooldown: f32,
+    /// Ticks until the shot falls that it takes aim for; none without one.
+    pub(super) wind_up: u8,
+    /// Ticks until what it has shot hits, and whom; none where nothing is under way. Weapons are slower than missiles.
+    pub(super) flight: u8,
+    pub(super) victim: u8,
+    /// Ticks since it was hurt, as far as they count.
+    pub(super) unhurt: u8,
+    /// Who hurt it or a comrade beside it, for as many ticks as are left.
+    pub(super) attacker: u8,
+    pub(super) alarm: u8,
+    /// How far it comes in a tick, of those that gather speed.
+    pub(super) speed: f32,
+    /// On which side it passes what stands in its way, and for how many ticks it hardly came on.
+    pub(super) passes_left: bool,
+    pub(super) blocked: u8,
+}
+
+impl Unit {
+    #[inline]
+    pub(super) fn is_alive(&self) -> bool {
+        self.life > 0.0
+    }
+
+    #[inline]
+    pub(super) fn kind(&self) -> usize {
+        self.kind.into()
+    }
+}
+
+/// A battle between ticks. Allies, whom agents lead, come first among units.
+#[derive(Clone, Debug)]
+pub(super) struct Battle {
+    pub(super) allies: usize,
+    /// Units of both teams.
+    pub(super) count: usize,
+    pub(super) units: [Unit; CAPACITY],
+}
+
+impl Battle {
+    /// Before it begins; places and orders are still to come.
+    pub(super) fn of(book: &Book, allies: &[u8], enemies: &[u8]) -> Self {
+        let mut units = [Unit::default(); CAPACITY];
+        for (number, kind) in allies.iter().chain(enemies).enumerate() {
+            let (kind, nature) = (*kind, &book.types[usize::from(*kind)]);
+            units[number] = Unit {
+                kind,
+                life: nature.life,
+                shield: nature.shield,
+                energy: nature.energy,
+                target: NOBODY,
+                victim: NOBODY,
+                attacker: NOBODY,
+                unhurt: u8::MAX,
+                passes_left: number % 2 == 1,
+                ..Unit::default()
+            };
+        }
+        Self { allies: allies.len(), count: allies.len() + enemies.len(), units }
+    }
+
+    /// The way from one unit to another.
+    #[inline]
+    pub(super) fn way(&self, from: usize, to: usize) -> Point {
+        let ([x, y], [there_x, there_y]) = (self.units[from].place, self.units[to].place);
+        [there_x - x, there_y - y]
+    }
+
+    /// From centre to centre.
+    #[inline]
+    pub(super) fn distance(&self, from: usize, to: usize) -> f32 {
+        length(self.way(from, to))
+    }
+
+    /// Those of a side that live: allies, enemies.
+    pub(super) fn living(&self) -> [UnitSet; 2] {
+        let living = |units: core::ops::Range<usize>| {
+            units.filter(|unit| self.units[*unit].is_alive()).fold(0, |set, unit| set | 1 << unit)
+        };
+        [living(0..self.allies), living(self.allies..self.count)]
+    }
+}
+
+#[inline]
+pub(super) fn length([x, y]: Point) -> f32 {
+    libm::sqrtf(x * x + y * y)
+}

@@ -1,0 +1,4 @@
+//! Skirmishes: teams of units fight by rules in the manner of StarCraft II, in the open or around a base.
+
+mod battle;
+mod units;
