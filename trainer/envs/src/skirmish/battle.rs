@@ -1,5 +1,7 @@
 //! A battle between ticks: units, what they were told to do, and who is still there.
 
+use core::ops::Range;
+
 use super::units::Book;
 
 /// A place or a way, east and north.
@@ -113,16 +115,39 @@ impl Battle {
         length(self.way(from, to))
     }
 
+    /// From edge to edge, as weapons measure.
+    #[inline]
+    pub(super) fn gap(&self, book: &Book, from: usize, to: usize) -> f32 {
+        let [radius, more] = [from, to].map(|unit| book.types[self.units[unit].kind()].radius);
+        self.distance(from, to) - radius - more
+    }
+
+    /// The units of a side, alive or not.
+    #[inline]
+    pub(super) fn side(&self, is_ally: bool) -> Range<usize> {
+        if is_ally { 0..self.allies } else { self.allies..self.count }
+    }
+
     /// Those of a side that live: allies, enemies.
     pub(super) fn living(&self) -> [UnitSet; 2] {
-        let living = |units: core::ops::Range<usize>| {
-            units.filter(|unit| self.units[*unit].is_alive()).fold(0, |set, unit| set | 1 << unit)
-        };
-        [living(0..self.allies), living(self.allies..self.count)]
+        [true, false].map(|is_ally| {
+            let living = self.side(is_ally).filter(|unit| self.units[*unit].is_alive());
+            living.fold(0, |set, unit| set | 1 << unit)
+        })
     }
 }
 
 #[inline]
 pub(super) fn length([x, y]: Point) -> f32 {
     libm::sqrtf(x * x + y * y)
+}
+
+/// The members of a set, lowest first.
+#[inline]
+pub(super) fn each(mut set: UnitSet) -> impl Iterator<Item = usize> {
+    core::iter::from_fn(move || {
+        let first = (set != 0).then(|| set.trailing_zeros() as usize);
+        set &= set.wrapping_sub(1);
+        first
+    })
 }

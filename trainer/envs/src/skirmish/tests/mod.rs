@@ -1,0 +1,1 @@
+//! Skirmishes against their rule book and recorded fights.
