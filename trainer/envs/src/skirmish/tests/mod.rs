@@ -1,1 +1,3 @@
 //! Skirmishes against their rule book and recorded fights.
+
+mod laws;
