@@ -1,8 +1,9 @@
 //! Armies that come from several sides, and turn from attack to retreat and back.
 
-use super::battle::{Battle, NOBODY, Order, Point, UnitSet, length};
+use serde::{Deserialize, Serialize};
+
+use super::battle::{Battle, NOBODY, Order, Point, Unit, UnitSet, each, length};
 use super::units::{Book, MEDIVAC, UnitType};
-use crate::observation::members;
 use crate::random::{Random, below};
 
 /// Most armies.
@@ -11,7 +12,7 @@ pub(super) const ARMIES: usize = 3;
 pub(super) const BASE: f32 = 2.0;
 
 /// How an army stands.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Fate {
     #[default]
     Fights,
@@ -22,7 +23,7 @@ pub(super) enum Fate {
 }
 
 /// An army between steps.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Army {
     pub(super) size: u8,
     /// Where it started, and retreats to.
@@ -35,7 +36,7 @@ pub(super) struct Army {
 }
 
 /// All armies; none where two teams meet in the open.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Armies {
     pub(super) count: usize,
     pub(super) list: [Army; ARMIES],
@@ -65,18 +66,17 @@ impl Armies {
         (0..self.count).filter(fights).fold(0, |set, number| set | 1 << number)
     }
 
+    /// Whether there can be such armies.
+    pub(super) fn is_sound(&self) -> bool {
+        self.count <= ARMIES && self.list.iter().flat_map(|army| army.centre).all(f32::is_finite)
+    }
+
     /// Tells units of the other side what their armies do next.
-    pub(super) fn command(
-        &mut self,
-        (battle, book): (&mut Battle, &Book),
-        armies_of: &[u8],
-        random: &mut Random,
-    ) {
-        let [_, living] = battle.living();
+    pub(super) fn command(&mut self, (battle, book): (&mut Battle, &Book), random: &mut Random) {
         for (number, army) in self.list[..self.count].iter_mut().enumerate() {
-            let own = of_army(living, armies_of, number);
+            let own = battle.army(number);
             let was_attacking = army.attacks;
-            let turned = if members(own.into()).all(|unit| !is_armed(battle.units[unit].kind)) {
+            let turned = if each(own).all(|unit| !is_armed(battle.units[unit].kind)) {
                 // Healers alone attack nobody.
                 army.since = -20;
                 (army.attacks, army.to_next) = (false, army.to_next.max(1));
@@ -92,7 +92,7 @@ impl Armies {
                 true => Order::Advance([book.side / 2.0; 2]),
                 false => Order::Go(army.centre),
             };
-            members(if turned { own.into() } else { 0 }).for_each(|unit| {
+            each(if turned { own } else { 0 }).for_each(|unit| {
                 battle.units[unit].order = order;
                 battle.units[unit].target = NOBODY;
             });
@@ -103,18 +103,17 @@ impl Armies {
 
     /// Settles what became of each army, and restores those who fought one that is defeated, where enemies were more; returns
     /// the armies whose fate is new.
-    pub(super) fn settle(&mut self, (battle, book): (&mut Battle, &Book), armies_of: &[u8]) -> u32 {
-        let [_, living] = battle.living();
+    pub(super) fn settle(&mut self, (battle, book): (&mut Battle, &Book)) -> u32 {
         let mut changed = 0;
         for number in 0..self.count {
-            let all = of_army(UnitSet::MAX, armies_of, number);
-            let is_inside = |unit: usize| {
-                let [x, y] = battle.units[unit].place.map(|part| part - book.side / 2.0);
-                is_armed(battle.units[unit].kind) && length([x, y]) < BASE
+            // Whoever reached the base is in it, even if it fell there.
+            let is_inside = |unit: &Unit| {
+                let way = unit.place.map(|part| part - book.side / 2.0);
+                usize::from(unit.army) == number && is_armed(unit.kind) && length(way) < BASE
             };
-            let fate = if members(all.into()).any(is_inside) {
+            let fate = if battle.units[battle.side(false)].iter().any(is_inside) {
                 Fate::Infiltrated
-            } else if all & living == 0 {
+            } else if battle.army(number) == 0 {
                 Fate::Defeated
             } else {
                 Fate::Fights
@@ -154,8 +153,11 @@ pub(super) const fn is_armed(kind: u8) -> bool {
     kind != MEDIVAC
 }
 
-/// Those units of a set that belong to an army.
-pub(super) fn of_army(set: UnitSet, armies_of: &[u8], army: usize) -> UnitSet {
-    let own = armies_of.iter().enumerate().filter(|(_, own)| usize::from(**own) == army);
-    set & own.fold(0, |set, (unit, _)| set | 1 << unit)
+impl Battle {
+    /// Those of an army that live.
+    pub(super) fn army(&self, army: usize) -> UnitSet {
+        let [_, living] = self.living();
+        let is_own = |unit: &usize| usize::from(self.units[*unit].army) == army;
+        each(living).filter(is_own).fold(0, |set, unit| set | 1 << unit)
+    }
 }

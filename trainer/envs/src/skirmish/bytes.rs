@@ -1,181 +1,109 @@
-//! Encounters as bytes.
+//! Encounters as bytes: the layout's version, and then what `serde` makes of them.
 
 use alloc::format;
 use alloc::vec::Vec;
 
-use super::armies::{ARMIES, Army, Fate};
-use super::battle::{Battle, CAPACITY, NOBODY, Order, Point, Unit};
+use serde::{Deserialize, Serialize};
+
+use super::armies::Armies;
+use super::battle::{Battle, CAPACITY, NOBODY, Order, Unit};
 use super::encounter::{Encounter, Outcome};
-use super::units::TYPES;
-use crate::bytes::{LAYOUT, Reader};
+use super::units::Book;
+use crate::bytes::LAYOUT;
 use crate::environment::StateError;
 
-/// Bytes of an army, and of a unit.
-const ARMY: usize = 5 + 8;
-const UNIT: usize = 2 + 12 + 3 * 8 + 5 * 4;
+/// What is told before the units.
+#[derive(Serialize, Deserialize)]
+struct Head {
+    allies: u8,
+    count: u8,
+    armies: Armies,
+    order_seed: u16,
+    steps: u32,
+    episode_return: f64,
+    outcome: Outcome,
+}
 
-/// Bytes of an encounter of so many units.
+/// Most bytes of an encounter of so many units. Numbers of two and four bytes take one more at most.
 pub(super) const fn state_bytes(units: usize) -> usize {
-    1 + 4 + 2 + 4 + 8 + ARMIES * ARMY + units * UNIT
+    1 + size_of::<Head>() + 2 + units * size_of::<Unit>()
 }
 
 impl Encounter {
     /// Adds its bytes.
     pub(super) fn write(&self, bytes: &mut Vec<u8>) {
-        let Battle { allies, count, .. } = self.battle;
-        let sizes = [allies, count - allies, self.armies.count].map(|size| size as u8);
+        let Self { battle: Battle { allies, count, units }, armies, .. } = self;
+        let head = Head {
+            allies: *allies as u8,
+            count: *count as u8,
+            armies: armies.clone(),
+            order_seed: self.order_seed,
+            steps: self.steps,
+            episode_return: self.episode_return,
+            outcome: self.outcome,
+        };
         bytes.push(LAYOUT);
-        bytes.extend(sizes);
-        bytes.push(self.outcome as u8);
-        bytes.extend(self.order_seed.to_le_bytes());
-        bytes.extend(self.steps.to_le_bytes());
-        bytes.extend(self.episode_return.to_le_bytes());
-        for army in &self.armies.list {
-            let Army { size, centre, attacks, to_next, since, fate } = *army;
-            bytes.extend([size, attacks.into(), to_next as u8, since as u8, fate as u8]);
-            write_numbers(&centre, bytes);
-        }
-        for (number, unit) in self.battle.units[..count].iter().enumerate() {
-            bytes.extend([self.armies_of[number], self.tags[number]]);
-            write_numbers(&self.before[number], bytes);
-            write_unit(unit, bytes);
-        }
+        let written = postcard::to_extend(&head, core::mem::take(bytes));
+        let written = units[..*count]
+            .iter()
+            .fold(written, |bytes, unit| bytes.and_then(|bytes| postcard::to_extend(unit, bytes)));
+        *bytes = written.unwrap_or_default();
     }
 
     /// Reads what [`write`](Self::write) wrote, of teams of at most these sizes.
-    pub(super) fn read(bytes: &[u8], most: [usize; 2]) -> Result<Self, StateError> {
-        let size = |place: usize| bytes.get(place).map_or(1, |size| usize::from(*size));
-        let [allies, enemies] = [size(1), size(2)];
-        let count = allies + enemies;
-        let mut reader = Reader::new(bytes, state_bytes(count))?;
-        if !(1..=most[0]).contains(&allies) || !(1..=most[1]).contains(&enemies) {
-            return Err(StateError::Impossible(format!("{allies} allies meet {enemies} enemies")));
+    pub(super) fn read(bytes: &[u8], book: &Book, most: [usize; 2]) -> Result<Self, StateError> {
+        let (&found, bytes) = bytes
+            .split_first()
+            .ok_or(StateError::Length { found: 0, wanted: state_bytes(most[0] + most[1]) })?;
+        if found != LAYOUT {
+            return Err(StateError::Version { found, wanted: LAYOUT });
         }
-        reader.slice(2);
-        let units = [Unit::default(); CAPACITY];
-        let mut encounter = Self::of(Battle { allies, count, units });
-        let armies = reader.u8().into();
-        reader.refuse(armies > ARMIES, || format!("there are {armies} armies"));
-        encounter.armies.count = armies;
-        encounter.outcome = match reader.u8() {
-            0 => Outcome::Open,
-            1 => Outcome::Won,
-            2 => Outcome::Killed,
-            3 => Outcome::Infiltrated,
-            found => {
-                reader.refuse(true, || format!("{found} is no outcome"));
-                Outcome::Open
-            }
-        };
-        (encounter.order_seed, encounter.steps) = (reader.u16(), reader.u32());
-        encounter.episode_return = reader.f64();
-        let is_number = encounter.episode_return.is_finite();
-        reader.refuse(!is_number, || "its return is no number".into());
-        encounter.armies.list.iter_mut().for_each(|army| *army = read_army(&mut reader));
-        for number in 0..count {
-            let [army, tag] = [reader.u8(), reader.u8()];
-            let is_known = if number < allies || armies == 0 {
-                army == NOBODY
-            } else {
-                usize::from(army) < armies
-            };
-            reader.refuse(!is_known, || format!("unit {number} is of army {army}"));
-            reader.refuse(usize::from(tag) >= most[0] + most[1], || format!("a tag is {tag}"));
-            (encounter.armies_of[number], encounter.tags[number]) = (army, tag);
-            encounter.before[number] = read_point(&mut reader);
-            encounter.battle.units[number] = read_unit(&mut reader, count);
+        let broken = |error: postcard::Error| StateError::Impossible(format!("{error}"));
+        let (head, mut rest) = postcard::take_from_bytes::<Head>(bytes).map_err(broken)?;
+        let [allies, count] = [head.allies, head.count].map(usize::from);
+        let sizes = [allies, count.saturating_sub(allies)];
+        if sizes.contains(&0) || sizes[0] > most[0] || sizes[1] > most[1] {
+            return Err(StateError::Impossible(format!("{sizes:?} units meet")));
         }
-        reader.sound(encounter)
+        let mut battle = Battle { allies, count, units: [Unit::default(); CAPACITY] };
+        for unit in &mut battle.units[..count] {
+            (*unit, rest) = postcard::take_from_bytes(rest).map_err(broken)?;
+        }
+        let Head { armies, order_seed, steps, episode_return, outcome, .. } = head;
+        let is_sound = rest.is_empty()
+            && episode_return.is_finite()
+            && armies.is_sound()
+            && battle.units[..count].iter().all(|unit| is_unit(unit, (book, count)))
+            && has_armies(&battle, &armies);
+        if !is_sound {
+            return Err(StateError::Impossible("a unit or an army is none".into()));
+        }
+        Ok(Self { battle, armies, order_seed, steps, episode_return, outcome })
     }
 }
 
-fn write_numbers(numbers: &[f32], bytes: &mut Vec<u8>) {
-    numbers.iter().for_each(|number| bytes.extend(number.to_le_bytes()));
-}
-
-fn write_unit(unit: &Unit, bytes: &mut Vec<u8>) {
-    let (order, other, goal) = match unit.order {
-        Order::Stop => (0, NOBODY, Point::default()),
-        Order::Go(goal) => (1, NOBODY, goal),
-        Order::Attack(other) => (2, other, Point::default()),
-        Order::Heal(other) => (3, other, Point::default()),
-        Order::Advance(goal) => (4, NOBODY, goal),
+/// Whether a unit can be one of so many.
+fn is_unit(unit: &Unit, (book, count): (&Book, usize)) -> bool {
+    let Unit { target, victim, attacker, place: [x, y], life, shield, energy, .. } = *unit;
+    let (goal, aimed_at) = match unit.order {
+        Order::Stop => ([0.0; 2], 0),
+        Order::Go(goal) | Order::Advance(goal) => (goal, 0),
+        Order::Attack(other) | Order::Heal(other) => ([0.0; 2], other),
     };
-    let passes = u8::from(unit.passes_left);
-    bytes.extend([unit.kind, order, other, unit.target, unit.victim, unit.attacker]);
-    bytes.extend([unit.wind_up, unit.flight, unit.unhurt, unit.alarm, unit.blocked, passes]);
-    write_numbers(&unit.place, bytes);
-    write_numbers(&goal, bytes);
-    let Unit { life, shield, energy, cooldown, speed, .. } = *unit;
-    write_numbers(&[life, shield, energy, cooldown, speed], bytes);
+    let numbers = [x, y, unit.before[0], unit.before[1], goal[0], goal[1], energy];
+    let numbers = numbers.into_iter().chain([unit.cooldown, unit.speed]);
+    let exists = |other: u8| usize::from(other) < count;
+    book.types.get(unit.kind()).is_some_and(|nature| {
+        (0.0..=nature.life).contains(&life) && (0.0..=nature.shield).contains(&shield)
+    }) && numbers.into_iter().all(f32::is_finite)
+        && exists(aimed_at)
+        && [target, victim, attacker].into_iter().all(|other| other == NOBODY || exists(other))
 }
 
-fn read_number(reader: &mut Reader<'_>) -> f32 {
-    let number = f32::from_bits(reader.u32());
-    reader.refuse(!number.is_finite(), || "one of its numbers is none".into());
-    number
-}
-
-fn read_point(reader: &mut Reader<'_>) -> Point {
-    [read_number(reader), read_number(reader)]
-}
-
-fn read_army(reader: &mut Reader<'_>) -> Army {
-    let [size, attacks, to_next, since, fate] = core::array::from_fn(|_| reader.u8());
-    let fate = match fate {
-        0 => Fate::Fights,
-        1 => Fate::Defeated,
-        2 => Fate::Infiltrated,
-        found => {
-            reader.refuse(true, || format!("{found} is no fate of an army"));
-            Fate::Fights
-        }
-    };
-    let centre = read_point(reader);
-    let (to_next, since) = (to_next as i8, since as i8);
-    Army { size, centre, attacks: attacks != 0, to_next, since, fate }
-}
-
-fn read_unit(reader: &mut Reader<'_>, count: usize) -> Unit {
-    let [kind, order, other, target, victim, attacker] = core::array::from_fn(|_| reader.u8());
-    let [wind_up, flight, unhurt, alarm, blocked, passes] = core::array::from_fn(|_| reader.u8());
-    reader.refuse(usize::from(kind) >= TYPES, || format!("a unit is of type {kind}"));
-    for unit in [other, target, victim, attacker] {
-        let is_known = unit == NOBODY || usize::from(unit) < count;
-        reader.refuse(!is_known, || format!("there is no unit {unit}"));
-    }
-    let (place, goal) = (read_point(reader), read_point(reader));
-    let order = match order {
-        0 => Order::Stop,
-        1 => Order::Go(goal),
-        2 => Order::Attack(other),
-        3 => Order::Heal(other),
-        4 => Order::Advance(goal),
-        found => {
-            reader.refuse(true, || format!("{found} is no order"));
-            Order::Stop
-        }
-    };
-    let aims = matches!(order, Order::Attack(NOBODY) | Order::Heal(NOBODY));
-    reader.refuse(aims, || "an order is aimed at nobody".into());
-    let [life, shield, energy, cooldown, speed] = core::array::from_fn(|_| read_number(reader));
-    Unit {
-        kind,
-        place,
-        life,
-        shield,
-        energy,
-        order,
-        target,
-        cooldown,
-        wind_up,
-        flight,
-        victim,
-        unhurt,
-        attacker,
-        alarm,
-        speed,
-        passes_left: passes != 0,
-        blocked,
-    }
+/// Whether each enemy belongs to an army where there are any, and nobody else.
+fn has_armies(battle: &Battle, armies: &Armies) -> bool {
+    battle.units[..battle.count].iter().enumerate().all(|(number, unit)| {
+        let is_member = number >= battle.allies && armies.count > 0;
+        if is_member { usize::from(unit.army) < armies.count } else { unit.army == NOBODY }
+    }) && battle.units[..battle.count].iter().all(|unit| usize::from(unit.tag) < CAPACITY)
 }

@@ -1,7 +1,9 @@
 //! An episode between steps: the battle, the armies, and what it has come to.
 
+use serde::{Deserialize, Serialize};
+
 use super::armies::{ARMIES, Armies, Fate, is_armed};
-use super::battle::{Battle, CAPACITY, NOBODY, Order, Point, UnitSet};
+use super::battle::{Battle, CAPACITY, NOBODY, Order, UnitSet};
 use super::scenarios::{DEATH, Team};
 use super::units::Book;
 use crate::observation::members;
@@ -11,7 +13,7 @@ use crate::random::{Random, below, shuffle};
 const TICKS: usize = 8;
 
 /// How an episode ended.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Outcome {
     #[default]
     Open,
@@ -38,12 +40,6 @@ pub(super) struct Gains {
 pub(super) struct Encounter {
     pub(super) battle: Battle,
     pub(super) armies: Armies,
-    /// The army of each unit; nobody's of allies, and where there are no armies.
-    pub(super) armies_of: [u8; CAPACITY],
-    /// Where each unit was a step before.
-    pub(super) before: [Point; CAPACITY],
-    /// Numbers of units that change from episode to episode, enemies' first.
-    pub(super) tags: [u8; CAPACITY],
     /// Draws in which order rules allocate agents.
     pub(super) order_seed: u16,
     pub(super) steps: u32,
@@ -57,9 +53,6 @@ impl Encounter {
         Self {
             battle,
             armies: Armies::default(),
-            armies_of: [NOBODY; CAPACITY],
-            before: [Point::default(); CAPACITY],
-            tags: core::array::from_fn(|unit| unit as u8),
             order_seed: 0,
             steps: 0,
             episode_return: 0.0,
@@ -84,12 +77,9 @@ impl Encounter {
             for enemy in battle.allies..battle.count {
                 battle.units[enemy].order = Order::Advance(battle.units[enemy].place);
             }
-            let count = battle.count;
-            self.armies.command((battle, book), &self.armies_of[..count], random);
+            self.armies.command((battle, book), random);
         }
-        for (before, unit) in self.before.iter_mut().zip(&battle.units) {
-            *before = unit.place;
-        }
+        battle.units.iter_mut().for_each(|unit| unit.before = unit.place);
     }
 
     /// Gives both teams numbers of their own for this episode, of at most so many allies and enemies.
@@ -97,9 +87,10 @@ impl Encounter {
         let mut numbers: [u8; CAPACITY] = core::array::from_fn(|number| number as u8);
         shuffle(random, &mut numbers[..enemies]);
         shuffle(random, &mut numbers[enemies..enemies + allies]);
-        let Battle { allies: first, count, .. } = self.battle;
-        self.tags[first..count].copy_from_slice(&numbers[..count - first]);
-        self.tags[..first].copy_from_slice(&numbers[enemies..enemies + first]);
+        let (allies, enemies) = (numbers[enemies..].iter(), numbers[..enemies].iter());
+        let (own, others) = self.battle.units.split_at_mut(self.battle.allies);
+        let tagged = own.iter_mut().zip(allies).chain(others.iter_mut().zip(enemies));
+        tagged.for_each(|(unit, tag)| unit.tag = *tag);
     }
 
     /// The types of both teams.
@@ -113,9 +104,7 @@ impl Encounter {
         let battle = &mut self.battle;
         let count = battle.count;
         let bodies: [f32; CAPACITY] = battle.units.each_ref().map(|unit| unit.life + unit.shield);
-        for (before, unit) in self.before.iter_mut().zip(&battle.units[..count]) {
-            *before = unit.place;
-        }
+        battle.units.iter_mut().for_each(|unit| unit.before = unit.place);
         (0..TICKS).for_each(|_| battle.tick(book, random));
         self.steps += 1;
         let mut gains = Gains::default();
@@ -123,17 +112,16 @@ impl Encounter {
             let now = &battle.units[unit];
             let lost =
                 f64::from(body - now.life - now.shield) + if now.is_alive() { 0.0 } else { DEATH };
-            match self.armies_of[unit] {
+            match now.army {
                 _ if unit < battle.allies => gains.own += lost,
                 NOBODY => gains.armies[0] += lost,
                 army => gains.armies[usize::from(army)] += lost,
             }
         }
-        gains.changed = self.armies.settle((battle, book), &self.armies_of[..count]);
+        gains.changed = self.armies.settle((battle, book));
         self.outcome = self.judge();
         if self.outcome == Outcome::Open {
-            let enemies = (&mut self.battle, book);
-            self.armies.command(enemies, &self.armies_of[..count], random);
+            self.armies.command((&mut self.battle, book), random);
         }
         gains
     }

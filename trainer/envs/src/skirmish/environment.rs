@@ -122,7 +122,7 @@ impl Skirmish {
     }
 
     fn read(&self, state: &[u8]) -> Result<Encounter, StateError> {
-        Encounter::read(state, self.layout.most)
+        Encounter::read(state, &self.book, self.layout.most)
     }
 
     fn is_over(&self, encounter: &Encounter) -> bool {
@@ -334,7 +334,7 @@ impl Environment for Skirmish {
         let encounter = &known(self.read(state));
         let slot = usize::from(action).checked_sub(ORDERS)?;
         let target = self.layout.target(encounter, agent, slot);
-        let army = *encounter.armies_of.get(usize::from(target))?;
+        let army = encounter.battle.units.get(usize::from(target))?.army;
         (army != NOBODY).then_some(army.into())
     }
 

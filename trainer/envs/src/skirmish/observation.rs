@@ -139,7 +139,7 @@ impl Layout {
 
     /// Whom each of an agent's slots is about, nobody's where there is none; nearest first where they are ranked.
     fn aimed_at(&self, encounter: &Encounter, agent: usize, slots: &mut [u8; CAPACITY]) {
-        let Encounter { battle, tags, .. } = encounter;
+        let battle = &encounter.battle;
         slots.fill(NOBODY);
         match self.aim {
             Aim::Entities => {
@@ -149,8 +149,8 @@ impl Layout {
                 }
             }
             Aim::Tags => {
-                let tagged = (0..battle.count).map(|unit| (usize::from(tags[unit]), unit));
-                tagged.for_each(|(tag, unit)| slots[tag] = unit as u8);
+                let units = battle.units[..battle.count].iter().zip(0..);
+                units.for_each(|(unit, number)| slots[usize::from(unit.tag)] = number);
             }
             Aim::Distance => {
                 let is_healer = battle.units[agent].kind == MEDIVAC;
@@ -233,7 +233,7 @@ impl Layout {
         wanted: EntitySet,
         seen: &mut Observation,
     ) {
-        let Encounter { battle, armies, armies_of, .. } = encounter;
+        let Encounter { battle, armies, .. } = encounter;
         let entity = |unit: usize| self.entity(battle, unit);
         let set = |shows: &dyn Fn(usize) -> bool| {
             (0..battle.count)
@@ -262,7 +262,7 @@ impl Layout {
         seen.entity_task.clear();
         seen.entity_task.resize(agents + self.most[1], 0);
         for unit in members(seen.present & !allies).filter_map(|thing| self.unit(battle, thing)) {
-            let army = armies_of[unit];
+            let army = battle.units[unit].army;
             seen.entity_task[entity(unit)] = if army == NOBODY { 0 } else { 1 << army };
         }
         seen.open_tasks = armies.open();
@@ -280,7 +280,7 @@ impl Layout {
         attackers: &[u8; CAPACITY],
         rows: &mut SparseRows,
     ) {
-        let Encounter { battle, armies, armies_of, before, tags, .. } = encounter;
+        let Encounter { battle, armies, .. } = encounter;
         let unit = &battle.units[number];
         let is_enemy = number >= battle.allies;
         rows.push_unless_zero(0, f32::from(u8::from(is_enemy)));
@@ -290,7 +290,7 @@ impl Layout {
             let nature = &book.types[unit.kind()];
             let half = book.side / 2.0;
             let [x, y] = turned(turn, unit.place.map(|part| (part - half) / half));
-            let moved = [0, 1].map(|part| (unit.place[part] - before[number][part]) / STRIDE);
+            let moved = [0, 1].map(|part| (unit.place[part] - unit.before[part]) / STRIDE);
             let [moved_x, moved_y] = turned(turn, moved);
             let [health, shield, energy] = shares(unit, nature);
             let cooldown = if nature.period > 0.0 { unit.cooldown / nature.period } else { 0.0 };
@@ -316,14 +316,14 @@ impl Layout {
                 rows.push_unless_zero(start + column, value);
             }
         }
-        let army = usize::from(armies_of[number]);
+        let army = usize::from(unit.army);
         if let Some(own) = armies.list.get(army) {
             rows.push(start + TOLD + army, 1.0);
             rows.push_unless_zero(start + TOLD + ARMIES, f32::from(u8::from(own.attacks)));
             rows.push_unless_zero(start + TOLD + ARMIES + 1, f32::from(own.since) / 20.0);
         }
         if self.aim == Aim::Tags {
-            rows.push(self.first_tag() + usize::from(tags[number]), 1.0);
+            rows.push(self.first_tag() + usize::from(unit.tag), 1.0);
         } else if !is_enemy && unit.is_alive() {
             self.write_slots((encounter, book), (number, turn), attackers, rows);
         }

@@ -21,12 +21,12 @@ const OUTLINES: [Outline; TYPES] = [
 
 /// All that live where they are, with lines to whom they fight or heal.
 pub(super) fn picture(encounter: &Encounter, book: &Book) -> Picture {
-    let Encounter { battle, armies_of, .. } = encounter;
+    let battle = &encounter.battle;
     let living = battle.units[..battle.count].iter().enumerate();
     let disc = |number: usize| {
         let unit = &battle.units[number];
         let nature = &book.types[unit.kind()];
-        let army = armies_of[number];
+        let army = unit.army;
         let is_ally = number < battle.allies;
         let [health, shield, energy] = shares(unit, nature).map(f64::from);
         let bars = [

@@ -1,6 +1,6 @@
 //! Rules that allocate agents to armies, and a script that fights them.
 
-use super::armies::{ARMIES, of_army};
+use super::armies::ARMIES;
 use super::battle::CAPACITY;
 use super::encounter::Encounter;
 use super::observation::{Layout, toward};
@@ -27,7 +27,7 @@ pub(super) fn allocate(
     random: &mut Random,
     allocation: &mut [u8],
 ) {
-    let Encounter { battle, armies, armies_of, .. } = encounter;
+    let Encounter { battle, armies, .. } = encounter;
     let open = armies.open();
     allocation.fill(UNASSIGNED);
     if rule == 2 {
@@ -39,7 +39,7 @@ pub(super) fn allocate(
     // The dead count too, on both sides, so that the living keep their armies.
     let mut unmatched = [[0_i8; TYPES]; ARMIES];
     for enemy in battle.allies..battle.count {
-        if let Some(army) = unmatched.get_mut(usize::from(armies_of[enemy])) {
+        if let Some(army) = unmatched.get_mut(usize::from(battle.units[enemy].army)) {
             army[battle.units[enemy].kind()] += 1;
         }
     }
@@ -73,12 +73,12 @@ pub(super) fn scripted(
     allocation: &[u8],
     actions: &mut [u16],
 ) {
-    let Encounter { battle, armies_of, .. } = encounter;
+    let battle = &encounter.battle;
     let [allies, enemies] = battle.living();
     for (agent, action) in actions.iter_mut().enumerate().take(battle.allies) {
         let available = layout.available(encounter, book, agent);
         let army = allocation.get(agent).copied().unwrap_or(UNASSIGNED);
-        let own = of_army(enemies, &armies_of[..battle.count], army.into());
+        let own = battle.army(army.into());
         let is_healer = battle.units[agent].kind == MEDIVAC;
         let foes = if own == 0 { enemies } else { own };
         let others = if is_healer { allies & !(1 << agent) } else { foes };

@@ -176,7 +176,7 @@ fn place_armies(
     (angle, is_spread): (f32, bool),
     random: &mut Random,
 ) {
-    let Encounter { battle, armies, armies_of, .. } = encounter;
+    let Encounter { battle, armies, .. } = encounter;
     let mut first = battle.allies;
     // Types are mixed over armies; of each army they are in their order again.
     crate::random::shuffle(random, &mut battle.units[first..battle.count]);
@@ -188,7 +188,7 @@ fn place_armies(
         let share = if is_spread { share * unit(random) as f32 } else { share };
         army.centre = around([book.side / 2.0; 2], angle + TAU * share, 14.0);
         place_team((battle, book), first..last, army.centre, None);
-        armies_of[first..last].fill(number as u8);
+        battle.units[first..last].iter_mut().for_each(|enemy| enemy.army = number as u8);
         first = last;
     }
 }
