@@ -83,7 +83,7 @@ impl Battle {
         let (mut ahead, far) = direction([goal[0] - x, goal[1] - y]);
         let speed = (self.units[unit].speed + nature.acceleration).min(nature.speed);
         self.units[unit].speed = speed;
-        if nature.layer != Layer::Air {
+        if nature.layer != Layer::Air && scene.book.evades {
             let mut others = layers[self.layer(scene, unit)] & !(1 << unit);
             if self.units[unit].target != NOBODY {
                 others &= !(1 << self.units[unit].target);
@@ -187,7 +187,7 @@ impl Battle {
         let are_friends = (one < self.allies) == (other < self.allies);
         let weights = [one, other].map(|unit| match scene.intents[unit] {
             _ if moving >> unit & 1 == 1 => 1.0,
-            Intent::Stand if are_friends => 0.5,
+            Intent::Stand if are_friends && scene.book.evades => 0.5,
             _ => 0.0,
         });
         let both = weights[0] + weights[1];

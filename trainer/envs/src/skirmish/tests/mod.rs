@@ -1,1 +1,4 @@
 //! Skirmishes against their rule book and recorded fights.
+
+mod golden;
+mod scripts;
