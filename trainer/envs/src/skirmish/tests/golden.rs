@@ -78,6 +78,7 @@ impl Scenario {
         let health = |battle: &Battle| battle.units.map(|unit| unit.life + unit.shield);
         let full = health(&battle);
         let mut outcome = Outcome::default();
+        let mut random = generator((recorded.places[0][0] * 1e4) as u64);
         for tick in 0..LIMIT * TICKS {
             if tick % TICKS == 0 {
                 if outcome.combat_end > 0.0 {
@@ -85,7 +86,7 @@ impl Scenario {
                 }
                 self.policy.lead(book, &mut battle);
             }
-            battle.tick(book, &mut generator(0));
+            battle.tick(book, &mut random);
             let now = tick as f32 + 1.0;
             let units = &battle.units[..battle.count];
             if outcome.first_hit == 0.0 && health(&battle) != full {
@@ -135,13 +136,38 @@ impl Scenario {
 #[test]
 fn table() {
     for name in [
-        "duel_marine_marine", "duel_marauder_marauder", "duel_zealot_zealot", "duel_marine_zealot", "duel_marine_marauder",
-        "duel_stalker_zealot", "duel_marauder_zealot", "duel_marauder_stalker", "duel_colossus_stalker",
-        "heal_marauder_medivac_vs_marine", "heal_2m1d_vs_3m", "3m_focus", "8m_focus", "5m_vs_6m_focus",
-        "3s_vs_3z_kite", "2s3z_focus", "1c2s2z_focus", "mmm_3m2r1d_closest",
+        "duel_marine_marine",
+        "duel_marauder_marauder",
+        "duel_zealot_zealot",
+        "duel_marine_zealot",
+        "duel_marine_marauder",
+        "duel_stalker_zealot",
+        "duel_marauder_zealot",
+        "duel_marauder_stalker",
+        "duel_colossus_stalker",
+        "heal_marauder_medivac_vs_marine",
+        "heal_2m1d_vs_3m",
+        "3m_focus",
+        "8m_focus",
+        "5m_vs_6m_focus",
+        "3s_vs_3z_kite",
+        "2s3z_focus",
+        "1c2s2z_focus",
+        "mmm_3m2r1d_closest",
     ] {
         let [a, b] = Scenario::read(name).means();
-        println!("{name:32} end {:.1}/{:.1} hit {:.1}/{:.1} death {:.1}/{:.1} won {:.2}/{:.2} left {:.1?}/{:.1?}",
-            a.combat_end, b.combat_end, a.first_hit, b.first_hit, a.first_death, b.first_death, a.won, b.won, a.left, b.left);
+        println!(
+            "{name:32} end {:.1}/{:.1} hit {:.1}/{:.1} death {:.1}/{:.1} won {:.2}/{:.2} left {:.1?}/{:.1?}",
+            a.combat_end,
+            b.combat_end,
+            a.first_hit,
+            b.first_hit,
+            a.first_death,
+            b.first_death,
+            a.won,
+            b.won,
+            a.left,
+            b.left
+        );
     }
 }

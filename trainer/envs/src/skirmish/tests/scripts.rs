@@ -62,8 +62,7 @@ impl Script {
 /// Heals the weakest within reach, and goes to the middle of its comrades else.
 fn tend(battle: &Battle, book: &Book, medivac: usize) -> Order {
     let comrades = battle.living()[0] & !(1 << medivac);
-    let share =
-        |unit: usize| battle.units[unit].life / book.types[battle.units[unit].kind()].life;
+    let share = |unit: usize| battle.units[unit].life / book.types[battle.units[unit].kind()].life;
     let patients = each(comrades).filter(|unit| {
         let is_near = battle.distance(medivac, *unit) <= REACH;
         battle.units[*unit].kind != MEDIVAC && is_near && share(*unit) < 1.0
@@ -89,9 +88,6 @@ fn stride([x, y]: Point, way: Point) -> Order {
     Order::Go([x + STRIDE * east, y + STRIDE * north])
 }
 
-fn first_least(
-    among: impl Iterator<Item = usize>,
-    number: impl Fn(usize) -> f32,
-) -> Option<usize> {
+fn first_least(among: impl Iterator<Item = usize>, number: impl Fn(usize) -> f32) -> Option<usize> {
     among.min_by(|one, other| number(*one).total_cmp(&number(*other)))
 }
