@@ -1,6 +1,6 @@
 //! A tick: what was shot hits, units decide, walk, shoot and die, wounds heal.
 
-use super::battle::{Battle, CAPACITY, NOBODY, Point, Unit, UnitSet, each, length};
+use super::battle::{Battle, CAPACITY, NOBODY, Order, Point, Unit, UnitSet, each, length};
 use super::orders::Intent;
 use super::units::{Book, FULL_ENERGY, Weapon};
 use crate::random::{Random, unit};
@@ -126,9 +126,9 @@ impl Battle {
             let unit = &mut self.units[number];
             if !unit.is_alive() {
                 // What it has shot flies on.
-                let Unit { flight, victim, kind, place, energy, .. } = *unit;
-                *unit = Unit { flight, victim, kind, place, energy, ..Unit::default() };
-                (unit.target, unit.attacker) = (NOBODY, NOBODY);
+                (unit.life, unit.shield) = (0.0, 0.0);
+                (unit.order, unit.target, unit.attacker) = (Order::Stop, NOBODY, NOBODY);
+                (unit.cooldown, unit.wind_up) = (0.0, 0);
             }
         }
         scene.living = self.living();

@@ -1,108 +1,110 @@
 //! How units walk: around those in their way, and apart from those they overlap.
 
-use super::battle::{Battle, CAPACITY, NOBODY, Point, UnitSet, each, length};
+use super::battle::{Battle, CAPACITY, NOBODY, Point, UnitSet, each};
 use super::fight::{Scene, direction};
 use super::orders::Intent;
-use super::units::Layer;
+use super::units::{Book, Layer};
 
-/// How far beside its body somebody who is in the way may be, how far ahead, and how near it must be to be evaded.
-const GRAZES: f32 = 0.02;
-const AHEAD: f32 = 0.4;
+/// How near others come into question, beside both bodies: no two units come nearer in a tick.
+const NEIGHBOURHOOD: f32 = 0.6;
+/// How near somebody in the way must be to be evaded, and how far beside its body it may be grazed.
 const NEAR: f32 = 0.25;
+const GRAZES: f32 = 0.02;
 /// Length of a way along somebody under which it is taken on the preferred side.
 const HEAD_ON: f32 = 0.15;
 /// The share of its speed under which a unit is blocked, and for how many ticks until it changes sides.
 const CREEPING: f32 = 0.2;
 const PATIENCE: u8 = 8;
-/// Rounds of separation, the most that one of them moves a unit, and by how much those in the air give way.
+/// Rounds of separation, and by how much less those in the air are moved.
 const ROUNDS: usize = 2;
-const PUSH: f32 = 0.25;
 const AIR: f32 = 0.25;
+
+/// Where the living are, and who is near whom of its layer.
+struct Crowd {
+    places: [Point; CAPACITY],
+    bodies: [f32; CAPACITY],
+    neighbours: [UnitSet; CAPACITY],
+    flying: UnitSet,
+    moving: UnitSet,
+}
 
 impl Battle {
     /// All walk by where all were, and are pushed apart.
     pub(super) fn move_all(&mut self, scene: &Scene<'_>) {
-        let mut places = [Point::default(); CAPACITY];
-        let everybody = scene.everybody();
-        each(everybody).for_each(|unit| places[unit] = self.units[unit].place);
-        let before = places;
-        let layers = self.layers(scene);
-        let mut moving = 0;
-        for unit in each(everybody) {
+        let mut crowd = self.crowd(scene);
+        let mut places = crowd.places;
+        for unit in each(scene.everybody()) {
             match scene.intents[unit] {
-                Intent::Walk(goal) => {
-                    places[unit] = self.step(scene, &layers, unit, goal);
-                    moving |= 1 << unit;
-                }
+                Intent::Walk(goal) => places[unit] = self.step(scene.book, &crowd, unit, goal),
                 _ => self.units[unit].speed = 0.0,
             }
         }
+        crowd.places = places;
         for _ in 0..ROUNDS {
-            if !self.separate(scene, &layers, moving, &mut places) {
+            if !self.separate(scene, &mut crowd) {
                 break;
             }
         }
-        for unit in each(everybody) {
-            let place = places[unit].map(|part| part.clamp(0.0, scene.book.side));
-            let [x, y] = before[unit];
-            let came = length([place[0] - x, place[1] - y]);
-            let speed = scene.book.types[self.units[unit].kind()].speed;
-            let is_blocked = moving >> unit & 1 == 1 && came < CREEPING * speed;
-            let unit = &mut self.units[unit];
-            unit.place = place;
-            unit.blocked = if is_blocked { unit.blocked.saturating_add(1) } else { 0 };
-            if is_blocked && unit.blocked.is_multiple_of(PATIENCE) {
-                unit.passes_left = !unit.passes_left;
-            }
-        }
+        each(scene.everybody()).for_each(|unit| self.settle(scene.book, &crowd, unit));
     }
 
-    /// The living of each layer.
-    fn layers(&self, scene: &Scene<'_>) -> [UnitSet; 3] {
+    fn crowd(&self, scene: &Scene<'_>) -> Crowd {
+        let mut crowd = Crowd {
+            places: [Point::default(); CAPACITY],
+            bodies: [0.0; CAPACITY],
+            neighbours: [0; CAPACITY],
+            flying: 0,
+            moving: 0,
+        };
         let mut layers = [0; 3];
         for unit in each(scene.everybody()) {
-            layers[self.layer(scene, unit)] |= 1 << unit;
+            let nature = &scene.book.types[self.units[unit].kind()];
+            let ([x, y], body) = (self.units[unit].place, nature.body);
+            (crowd.places[unit], crowd.bodies[unit]) = ([x, y], body);
+            let is_moving = matches!(scene.intents[unit], Intent::Walk(_));
+            crowd.moving |= UnitSet::from(is_moving) << unit;
+            let layer: &mut UnitSet = &mut layers[nature.layer as usize];
+            for other in each(*layer) {
+                let [there_x, there_y] = crowd.places[other];
+                let (east, north) = (there_x - x, there_y - y);
+                let near = body + crowd.bodies[other] + NEIGHBOURHOOD;
+                let is_near = UnitSet::from(east * east + north * north < near * near);
+                crowd.neighbours[unit] |= is_near << other;
+                crowd.neighbours[other] |= is_near << unit;
+            }
+            *layer |= 1 << unit;
         }
-        layers
-    }
-
-    fn layer(&self, scene: &Scene<'_>, unit: usize) -> usize {
-        scene.book.types[self.units[unit].kind()].layer as usize
+        crowd.flying = layers[Layer::Air as usize];
+        crowd
     }
 
     /// Where a unit comes to on its way.
-    fn step(
-        &mut self,
-        scene: &Scene<'_>,
-        layers: &[UnitSet; 3],
-        unit: usize,
-        goal: Point,
-    ) -> Point {
-        let nature = &scene.book.types[self.units[unit].kind()];
+    fn step(&mut self, book: &Book, crowd: &Crowd, unit: usize, goal: Point) -> Point {
+        let nature = &book.types[self.units[unit].kind()];
         let [x, y] = self.units[unit].place;
         let (mut ahead, far) = direction([goal[0] - x, goal[1] - y]);
         let speed = (self.units[unit].speed + nature.acceleration).min(nature.speed);
         self.units[unit].speed = speed;
-        if nature.layer != Layer::Air {
-            let mut others = layers[self.layer(scene, unit)] & !(1 << unit);
-            if self.units[unit].target != NOBODY {
-                others &= !(1 << self.units[unit].target);
-            }
-            ahead = self.steer(scene, others, unit, ahead);
+        if book.evades {
+            ahead = self.evade(crowd, unit, ahead);
+        } else if self.units[unit].blocked > 0 {
+            // Aslant, or those who stand behind each other would never pass.
+            let side = if self.units[unit].passes_left { 1.0 } else { -1.0 };
+            ahead = direction([ahead[0] - side * ahead[1], ahead[1] + side * ahead[0]]).0;
         }
         let far = far.min(speed);
         [x + ahead[0] * far, y + ahead[1] * far]
     }
 
-    /// Turns along whoever stands in the way, and once more.
-    fn steer(&self, scene: &Scene<'_>, others: UnitSet, unit: usize, ahead: Point) -> Point {
-        let mut ahead = ahead;
+    /// Turns along whoever stands in the way but the own target, and once more.
+    fn evade(&self, crowd: &Crowd, unit: usize, mut ahead: Point) -> Point {
+        let mut others = crowd.neighbours[unit] & !crowd.flying;
+        if self.units[unit].target != NOBODY {
+            others &= !(1 << self.units[unit].target);
+        }
         for _ in 0..2 {
-            let Some((blocker, bodies)) = self.blocker(scene, others, unit, ahead) else { break };
-            let (toward, far) = direction(self.way(unit, blocker));
-            if far > bodies + NEAR {
-                break;
-            }
+            let Some(blocker) = self.blocker(crowd, others, unit, ahead) else { break };
+            let (toward, _) = direction(self.way(unit, blocker));
             let along = ahead[0] * toward[0] + ahead[1] * toward[1];
             let tangent = [ahead[0] - along * toward[0], ahead[1] - along * toward[1]];
             let (turned, free) = direction(tangent);
@@ -115,82 +117,78 @@ impl Battle {
         ahead
     }
 
-    /// The first in the way, and how near it may be.
-    fn blocker(
-        &self,
-        scene: &Scene<'_>,
-        others: UnitSet,
-        unit: usize,
-        ahead: Point,
-    ) -> Option<(usize, f32)> {
-        let body = scene.book.types[self.units[unit].kind()].body;
+    /// The first in the way of those that are near.
+    fn blocker(&self, crowd: &Crowd, others: UnitSet, unit: usize, ahead: Point) -> Option<usize> {
         let (mut first, mut least) = (None, f32::INFINITY);
         for other in each(others) {
-            let bodies = body + scene.book.types[self.units[other].kind()].body;
+            let bodies = crowd.bodies[unit] + crowd.bodies[other];
             let [x, y] = self.way(unit, other);
             let forward = x * ahead[0] + y * ahead[1];
             let sideways = (x * ahead[1] - y * ahead[0]).abs();
-            let is_in_way =
-                forward > 0.0 && forward <= bodies + AHEAD && sideways < bodies - GRAZES;
-            if is_in_way && forward < least {
-                (first, least) = (Some((other, bodies)), forward);
+            let is_near = x * x + y * y <= (bodies + NEAR) * (bodies + NEAR);
+            if is_near && sideways < bodies - GRAZES && forward > 0.0 && forward < least {
+                (first, least) = (Some(other), forward);
             }
         }
         first
     }
 
     /// Pushes apart who overlaps, all from where they are; whether anybody did.
-    fn separate(
-        &self,
-        scene: &Scene<'_>,
-        layers: &[UnitSet; 3],
-        moving: UnitSet,
-        places: &mut [Point; CAPACITY],
-    ) -> bool {
+    fn separate(&self, scene: &Scene<'_>, crowd: &mut Crowd) -> bool {
         let mut pushes = [Point::default(); CAPACITY];
-        let mut pushed = 0;
+        let mut pushed: UnitSet = 0;
         for one in each(scene.everybody()) {
-            let layer = self.layer(scene, one);
-            let body = scene.book.types[self.units[one].kind()].body;
-            for other in each(layers[layer] & (UnitSet::MAX << one << 1)) {
-                let bodies = body + scene.book.types[self.units[other].kind()].body;
-                let ([x, y], [there_x, there_y]) = (places[one], places[other]);
+            for other in each(crowd.neighbours[one] & (UnitSet::MAX << one << 1)) {
+                let bodies = crowd.bodies[one] + crowd.bodies[other];
+                let ([x, y], [there_x, there_y]) = (crowd.places[one], crowd.places[other]);
                 let way = [there_x - x, there_y - y];
                 if way[0] * way[0] + way[1] * way[1] >= bodies * bodies {
                     continue;
                 }
-                let (mut toward, far) = direction(way);
-                if far == 0.0 {
-                    toward = [1.0, 0.0];
-                }
-                let overlap = bodies - far;
-                let overlap = if layer == Layer::Air as usize { overlap * AIR } else { overlap };
-                let [yields, other_yields] = self.shares(scene, moving, one, other);
-                for (part, toward) in toward.into_iter().enumerate() {
-                    pushes[one][part] -= overlap * yields * toward;
-                    pushes[other][part] += overlap * other_yields * toward;
-                }
+                let (toward, far) = direction(way);
+                let [x, y] = if far > 0.0 { toward } else { [1.0, 0.0] };
+                let give = if crowd.flying >> one & 1 == 1 { AIR } else { 1.0 };
+                let [back, forth] = self.shares(scene, [one, other]);
+                let [back, forth] = [-back, forth].map(|share| share * (bodies - far) * give);
+                pushes[one] = [pushes[one][0] + x * back, pushes[one][1] + y * back];
+                pushes[other] = [pushes[other][0] + x * forth, pushes[other][1] + y * forth];
                 pushed |= 1 << one | 1 << other;
             }
         }
         for unit in each(pushed) {
-            let (toward, far) = direction(pushes[unit]);
-            let far = far.min(PUSH);
-            places[unit][0] += toward[0] * far;
-            places[unit][1] += toward[1] * far;
+            let [x, y] = crowd.places[unit];
+            crowd.places[unit] = [x + pushes[unit][0], y + pushes[unit][1]];
         }
         pushed != 0
     }
 
-    /// Which part of an overlap each of two gives way by.
-    fn shares(&self, scene: &Scene<'_>, moving: UnitSet, one: usize, other: usize) -> [f32; 2] {
-        let are_friends = (one < self.allies) == (other < self.allies);
-        let weights = [one, other].map(|unit| match scene.intents[unit] {
-            _ if moving >> unit & 1 == 1 => 1.0,
-            Intent::Stand if are_friends => 0.5,
+    /// Which part of an overlap each of two gives way by: who walks does, who attacks does not.
+    fn shares(&self, scene: &Scene<'_>, pair: [usize; 2]) -> [f32; 2] {
+        let are_friends = (pair[0] < self.allies) == (pair[1] < self.allies);
+        let weights = pair.map(|unit| match scene.intents[unit] {
+            Intent::Walk(_) => 1.0,
+            Intent::Stand if are_friends && scene.book.evades => 0.5,
             _ => 0.0,
         });
         let both = weights[0] + weights[1];
         if both > 0.0 { weights.map(|weight| weight / both) } else { [0.5; 2] }
+    }
+
+    /// Takes its new place, on the map, and no farther than its speed: nobody is pushed ahead.
+    fn settle(&mut self, book: &Book, crowd: &Crowd, number: usize) {
+        let unit = &mut self.units[number];
+        let ([x, y], [there_x, there_y]) = (unit.place, crowd.places[number]);
+        let speed = book.types[unit.kind()].speed;
+        let (way, far) = direction([there_x - x, there_y - y]);
+        let far = far.min(speed);
+        unit.place = [x + way[0] * far, y + way[1] * far].map(|part| part.clamp(0.0, book.side));
+        if crowd.moving >> number & 1 == 0 || far >= CREEPING * speed {
+            unit.blocked = 0;
+            return;
+        }
+        unit.blocked = unit.blocked.saturating_add(1);
+        if unit.blocked.is_multiple_of(PATIENCE) {
+            unit.passes_left = !unit.passes_left;
+        }
     }
 }

@@ -134,9 +134,13 @@ impl Battle {
         let (book, kind) = (scene.book, self.units[unit].kind());
         let foes = self.foes(scene, unit);
         let is_after = |foe: usize| usize::from(self.units[foe].target) == unit;
+        let heals = |foe: usize| book.types[self.units[foe].kind()].weapon == Weapon::Heal;
         let is_kept =
             |foe: &usize| is_after(*foe) || self.gap(book, unit, *foe) <= book.types[kind].range;
-        if let Some(kept) = self.kept(unit, foes).filter(is_kept) {
+        let kept = self.kept(unit, foes).filter(is_kept);
+        // While a foe lives that heals, everybody who is after somebody else looks around.
+        let is_settled = |kept: &usize| heals(*kept) || !each(foes).any(heals);
+        if let Some(kept) = kept.filter(is_settled) {
             return Some(kept);
         }
         let can_hit = |foe: &usize| book.can_hit(kind, self.units[*foe].kind());
@@ -144,11 +148,11 @@ impl Battle {
             let nature = &book.types[self.units[foe].kind()];
             let distance = self.distance(unit, foe);
             // Nobody is as far as that: healers are before all others.
-            let rank = if nature.weapon == Weapon::Heal { -1e3 } else { 0.0 };
+            let rank = if heals(foe) { -1e3 } else { 0.0 };
             let is_seen = distance < ACQUISITION + nature.radius || is_after(foe);
             is_seen.then_some((rank + distance, foe))
         });
-        least(seen)
+        least(seen).or(kept)
     }
 
     /// The comrade within reach that has lost most of its life, for a medivac.

@@ -96,6 +96,8 @@ pub(super) struct Book {
     /// Ticks by which a shot's period is longer, at least and at most.
     pub(super) jitter: Option<[f32; 2]>,
     pub(super) scan: Scan,
+    /// Whether units go around those in their way, and make way for friends, or run against whoever stands.
+    pub(super) evades: bool,
     /// What is left of a hit on life at least.
     pub(super) least_damage: f32,
 }
@@ -224,6 +226,7 @@ impl Book {
             side: 32.0,
             jitter: Some([-1.0, 2.0]),
             scan: Scan::Nearest,
+            evades: true,
             least_damage: 0.5,
         }
     }
@@ -249,9 +252,10 @@ impl Book {
         colossus.bonus = [5.0, 0.0];
         colossus.range = 7.0;
         colossus.weapon = Weapon::Line(0, 1.4);
+        colossus.layer = Layer::Ground;
         stalker.damage = 13.0;
         stalker.bonus = [0.0, 5.0];
-        Self { jitter: None, scan: Scan::HealersFirst, least_damage: 0.0, ..book }
+        Self { jitter: None, scan: Scan::HealersFirst, evades: false, least_damage: 0.0, ..book }
     }
 
     /// Whether a shooter of one type can hit units of another one.

@@ -1,3 +1,5 @@
 //! Skirmishes against their rule book and recorded fights.
 
+mod golden;
 mod laws;
+mod scripts;
