@@ -243,9 +243,10 @@ fn jitter(book: &Book, random: &mut Random) -> f32 {
 /// How a way is scaled to a length of one, and how long it was.
 #[inline]
 pub(super) fn direction([x, y]: Point) -> (Point, f32) {
-    if x == 0.0 && y == 0.0 {
+    let square = x * x + y * y;
+    if square == 0.0 {
         return ([0.0; 2], 0.0);
     }
-    let far = length([x, y]);
+    let far = libm::sqrtf(square);
     ([x / far, y / far], far)
 }

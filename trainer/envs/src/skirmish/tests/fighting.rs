@@ -63,6 +63,11 @@ fn a_newer_balance_has_a_bonus_against_the_light_alone() {
     };
     assert_eq!([damage(COLOSSUS, ZEALOT), damage(COLOSSUS, STALKER)], [30.0, 20.0]);
     assert_eq!([damage(STALKER, ZEALOT), damage(STALKER, STALKER)], [13.0, 18.0]);
+    let colossus = (COLOSSUS, [10.0; 2]);
+    let mut battle = battle(&book, &[colossus], &[(ZEALOT, [18.4, 10.0])]);
+    order(&mut battle, &[(0, Order::Attack(1))]);
+    ticks(&book, &mut battle, 1);
+    assert_eq!(battle.units[1].shield, 20.0, "it shoots as far as 7");
 }
 
 /// The tick of the first wound, from an order in range on.
@@ -94,6 +99,9 @@ fn a_shot_follows_another_by_its_period_and_chance() {
     let times: Vec<usize> = (0..4).map(|_| until(&book, &mut battle, wounded)).collect();
     // 13.77 ticks, of which no fraction is carried over.
     assert_eq!(times, [2, 14, 14, 14]);
+    order(&mut battle, &[(0, Order::Stop)]);
+    ticks(&book, &mut battle, 20);
+    assert_eq!(battle.units[0].cooldown, 0.0);
     let book = Book::liberty();
     let mut random = generator(3);
     let (_, mut battle) = duel(MARINE, COLOSSUS, |_| {});

@@ -57,8 +57,11 @@ fn who_walks_goes_around_who_stands() {
     assert!(there < 60, "{there}");
     battle.units[0].place = [10.0; 2];
     for _ in 0..60 {
+        let (before, far) = (aside, battle.distance(0, 1));
         ticks(&book, &mut battle, 1);
         assert!(battle.distance(0, 1) > 0.74, "{}", battle.distance(0, 1));
+        let turns = before == 0.0 && battle.units[0].place[1] != 10.0;
+        assert!(!turns || (0.85..1.0).contains(&far), "{far}");
         aside = aside.max((battle.units[0].place[1] - 10.0).abs());
     }
     // A foe does not make way.
@@ -115,6 +118,53 @@ fn layers_do_not_meet() {
         let north: Vec<f32> = battle.units[..6].iter().map(|unit| unit.place[1]).collect();
         assert_eq!(north, straight);
     }
+}
+
+/// SMAClite's colossus is on the ground as all are.
+#[test]
+fn those_in_the_air_push_each_other_and_do_not_go_around() {
+    let book = liberty();
+    let allies = [(MEDIVAC, [10.0; 2]), (MEDIVAC, [13.0, 10.0])];
+    let mut battle = battle(&book, &allies, &NOBODY_NEAR);
+    order(&mut battle, &[(0, Order::Go([20.0, 10.0]))]);
+    ticks(&book, &mut battle, 90);
+    assert_eq!(battle.units[0].place[1], 10.0);
+    assert!(battle.units[1].place[0] > 13.2, "{}", battle.units[1].place[0]);
+    let pair = [(COLOSSUS, [10.0, 10.0]), (ZEALOT, [11.0, 10.0])];
+    let apart = |book: &Book| apart(book, pair, [Order::Stop, Order::Stop]);
+    assert_eq!(apart(&book), [10.0, 11.0]);
+    assert!(apart(&Book::smaclite())[0] < 9.9);
+}
+
+#[test]
+fn nobody_goes_around_its_own_target() {
+    let book = liberty();
+    // The gap is 0.115, and the range 0.1.
+    let mut battle = battle(&book, &[(ZEALOT, [10.0; 2])], &[(MARINE, [10.99, 10.0])]);
+    order(&mut battle, &[(0, Order::Attack(1))]);
+    ticks(&book, &mut battle, 2);
+    assert!(battle.units[1].life < 45.0);
+}
+
+#[test]
+fn two_in_the_way_are_gone_around_at_once() {
+    let book = liberty();
+    // It would turn south along the first, where the second stands.
+    let enemies = [(ZEALOT, [10.76, 10.1]), (ZEALOT, [10.3, 9.3])];
+    let mut battle = battle(&book, &[(ZEALOT, [10.0; 2])], &enemies);
+    order(&mut battle, &[(0, Order::Go([16.0, 10.0]))]);
+    ticks(&book, &mut battle, 1);
+    let [x, y] = battle.units[0].place;
+    assert!(y > 10.1 && battle.distance(0, 2) > 0.85, "{x} {y}");
+}
+
+#[test]
+fn a_push_is_passed_on() {
+    let book = liberty();
+    let team = [(ZEALOT, [10.0, 10.0]), (ZEALOT, [10.55, 10.0]), (ZEALOT, [11.3, 10.0])];
+    let mut battle = battle(&book, &team, &NOBODY_NEAR);
+    ticks(&book, &mut battle, 1);
+    assert!(battle.units[2].place[0] > 11.34, "{}", battle.units[2].place[0]);
 }
 
 /// Places after a tick of two that overlap by 0.2.
