@@ -48,8 +48,7 @@ mod recorded;
 pub mod registry;
 pub mod rows;
 pub mod save_the_city;
-#[allow(dead_code, reason = "no environment is built on it yet")]
-mod skirmish;
+pub mod skirmish;
 pub mod smax;
 pub mod spec;
 mod throughput;

@@ -14,6 +14,7 @@ pub const ENVIRONMENTS: &[Entry] = &[
     crate::group_matching::ENTRY,
     crate::particle::ENTRY,
     crate::gridworld::ENTRY,
+    crate::skirmish::ENTRY,
     crate::smax::ENTRY,
     crate::crafting::ENTRY,
     crate::treasure_rooms::ENTRY,

@@ -2,6 +2,8 @@
 
 use core::ops::Range;
 
+use serde::{Deserialize, Serialize};
+
 use super::units::Book;
 
 /// A place or a way, east and north.
@@ -14,7 +16,7 @@ pub(super) const CAPACITY: usize = 64;
 pub(super) const NOBODY: u8 = u8::MAX;
 
 /// What a unit was told to do; it holds until it is told something else.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) enum Order {
     #[default]
     Stop,
@@ -29,11 +31,17 @@ pub(super) enum Order {
 }
 
 /// A unit between ticks.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Unit {
     /// Its type, by its number in the [`Book`].
     pub(super) kind: u8,
+    /// The army that it belongs to; nobody's of allies, and where there are no armies.
+    pub(super) army: u8,
+    /// A number that it has in this episode alone.
+    pub(super) tag: u8,
     pub(super) place: Point,
+    /// Where it was a step before.
+    pub(super) before: Point,
     pub(super) life: f32,
     pub(super) shield: f32,
     pub(super) energy: f32,
@@ -88,6 +96,7 @@ impl Battle {
             let (kind, nature) = (*kind, &book.types[usize::from(*kind)]);
             units[number] = Unit {
                 kind,
+                army: NOBODY,
                 life: nature.life,
                 shield: nature.shield,
                 energy: nature.energy,

@@ -2,6 +2,7 @@
 
 mod fighting;
 mod golden;
+mod laws;
 mod moving;
 mod reflexes;
 mod scripts;

@@ -1,0 +1,106 @@
+//! Rules that allocate agents to armies, and a script that fights them.
+
+use super::armies::ARMIES;
+use super::battle::CAPACITY;
+use super::encounter::Encounter;
+use super::observation::{Layout, toward};
+use super::units::{Book, MEDIVAC, TYPES};
+use crate::decisions::UNASSIGNED;
+use crate::observation::members;
+use crate::random::{Random, generator, member, shuffle};
+use crate::spec::Rule;
+
+/// The rules as command lines name them, the usual one first.
+pub(super) const RULES: &[Rule] = &[
+    Rule {
+        name: "dynamic",
+        about: "One agent after the other: an army that attacks, that has a unit of its type left to match, that nobody has, that is larger",
+    },
+    Rule { name: "matching", about: "The same, whether an army attacks or not" },
+    Rule { name: "random", about: "Every agent any army that is left" },
+];
+
+/// Writes for every agent its army.
+pub(super) fn allocate(
+    rule: usize,
+    encounter: &Encounter,
+    random: &mut Random,
+    allocation: &mut [u8],
+) {
+    let Encounter { battle, armies, .. } = encounter;
+    let open = armies.open();
+    allocation.fill(UNASSIGNED);
+    if rule == 2 {
+        for army in &mut allocation[..battle.allies] {
+            *army = member(random, open.into()).map_or(UNASSIGNED, |army| army as u8);
+        }
+        return;
+    }
+    // The dead count too, on both sides, so that the living keep their armies.
+    let mut unmatched = [[0_i8; TYPES]; ARMIES];
+    for enemy in battle.allies..battle.count {
+        if let Some(army) = unmatched.get_mut(usize::from(battle.units[enemy].army)) {
+            army[battle.units[enemy].kind()] += 1;
+        }
+    }
+    let mut surplus = unmatched.map(|army| army.iter().sum::<i8>());
+    let mut order: [usize; CAPACITY] = core::array::from_fn(|agent| agent);
+    let order = &mut order[..battle.allies];
+    shuffle(&mut generator(encounter.order_seed.into()), order);
+    let mut is_taken = [false; ARMIES];
+    for agent in order {
+        let kind = battle.units[*agent].kind();
+        let worth = |army: &usize| {
+            let attacks = rule == 0 && armies.list[*army].attacks;
+            (attacks, unmatched[*army][kind] > 0, !is_taken[*army], surplus[*army])
+        };
+        // Of equals the first.
+        let Some(army) = (0..ARMIES).rev().filter(|army| open >> army & 1 == 1).max_by_key(worth)
+        else {
+            return;
+        };
+        allocation[*agent] = army as u8;
+        is_taken[army] = true;
+        surplus[army] -= 1;
+        unmatched[army][kind] = (unmatched[army][kind] - 1).max(0);
+    }
+}
+
+/// Who shoots attacks the nearest enemy of its army, or of all where none of that is left, and goes there first; who heals
+/// stays with the others and heals who has the smallest share of its life left.
+pub(super) fn scripted(
+    (encounter, layout, book): (&Encounter, &Layout, &Book),
+    allocation: &[u8],
+    actions: &mut [u16],
+) {
+    let battle = &encounter.battle;
+    let [allies, enemies] = battle.living();
+    for (agent, action) in actions.iter_mut().enumerate().take(battle.allies) {
+        let available = layout.available(encounter, book, agent);
+        let army = allocation.get(agent).copied().unwrap_or(UNASSIGNED);
+        let own = battle.army(army.into());
+        let is_healer = battle.units[agent].kind == MEDIVAC;
+        let foes = if own == 0 { enemies } else { own };
+        let others = if is_healer { allies & !(1 << agent) } else { foes };
+        let need = |other: usize| {
+            if is_healer { life(encounter, book, other) } else { battle.distance(agent, other) }
+        };
+        let aims = members(others.into()).filter_map(|other| {
+            let aim = layout.action_at(encounter, agent, other)?;
+            (available >> aim & 1 == 1 && (!is_healer || need(other) < 1.0))
+                .then_some((need(other), aim))
+        });
+        let aim = aims.min_by(|one, other| one.0.total_cmp(&other.0)).map(|(_, aim)| aim);
+        let nearest = members(others.into()).min_by(|one, other| {
+            battle.distance(agent, *one).total_cmp(&battle.distance(agent, *other))
+        });
+        let walk = nearest.map(|other| toward(battle.way(agent, other)));
+        let wish = aim.or(walk).filter(|action| available >> action & 1 == 1);
+        *action = wish.unwrap_or(0) as u16;
+    }
+}
+
+fn life(encounter: &Encounter, book: &Book, unit: usize) -> f32 {
+    let unit = &encounter.battle.units[unit];
+    unit.life / book.types[unit.kind()].life
+}
