@@ -131,6 +131,14 @@ impl Battle {
         self.distance(from, to) - radius - more
     }
 
+    /// Whether the gap is at most a range, without a root.
+    #[inline]
+    pub(super) fn is_within(&self, book: &Book, range: f32, from: usize, to: usize) -> bool {
+        let [radius, more] = [from, to].map(|unit| book.types[self.units[unit].kind()].radius);
+        let ([x, y], reach) = (self.way(from, to), range + radius + more);
+        x * x + y * y <= reach * reach
+    }
+
     /// The units of a side, alive or not.
     #[inline]
     pub(super) fn side(&self, is_ally: bool) -> Range<usize> {

@@ -1,6 +1,6 @@
 //! A tick: what was shot hits, units decide, walk, shoot and die, wounds heal.
 
-use super::battle::{Battle, CAPACITY, NOBODY, Order, Point, Unit, UnitSet, each, length};
+use super::battle::{Battle, CAPACITY, NOBODY, Order, Point, UnitSet, each, length};
 use super::orders::Intent;
 use super::units::{Book, FULL_ENERGY, Weapon};
 use crate::random::{Random, unit};
@@ -54,20 +54,20 @@ impl Battle {
     /// What was shot earlier arrives.
     fn land(&mut self, scene: &mut Scene<'_>) {
         for shooter in 0..self.count {
-            let Unit { kind, flight, victim, .. } = &mut self.units[shooter];
-            if *flight == 0 || *victim == NOBODY {
+            let unit = &mut self.units[shooter];
+            if unit.flight == 0 {
                 continue;
             }
-            *flight -= 1;
-            if *flight > 0 {
+            unit.flight -= 1;
+            if unit.flight > 0 {
                 continue;
             }
-            let (victim, nature) = (usize::from(*victim), &scene.book.types[usize::from(*kind)]);
-            let [lives, may_be_hit] =
-                [shooter, victim].map(|unit| scene.everybody() >> unit & 1 == 1);
+            let (victim, nature) = (usize::from(unit.victim), &scene.book.types[unit.kind()]);
+            let lives = scene.everybody() >> shooter & 1 == 1;
+            let finds = scene.everybody() >> victim & 1 == 1;
             match nature.weapon {
-                Weapon::Missile(_) if may_be_hit => self.hit(scene, shooter, victim, nature.hits),
-                Weapon::Again(_) if lives && may_be_hit => {
+                Weapon::Missile(_) if finds => self.hit(scene, shooter, victim, nature.hits),
+                Weapon::Again(_) if lives && finds => {
                     self.hit(scene, shooter, victim, nature.hits - 1);
                 }
                 // A beam needs its source; it burns where the target was even if that is dead.
@@ -97,9 +97,7 @@ impl Battle {
 
     /// Hits every foe on the ground whose circle touches a line across the way to the victim.
     fn burn(&mut self, scene: &mut Scene<'_>, shooter: usize, victim: usize, reach: f32) {
-        let [x, y] = self.way(shooter, victim);
-        let far = length([x, y]);
-        let ahead = if far > 0.0 { [x / far, y / far] } else { [1.0, 0.0] };
+        let (ahead, _) = direction(self.way(shooter, victim));
         let (kind, hits) = (self.units[shooter].kind(), self.hits(scene.book, shooter));
         for foe in each(scene.living[usize::from(shooter < self.allies)]) {
             let of_foe = self.units[foe].kind();
@@ -137,27 +135,27 @@ impl Battle {
     /// Those whose target is within range take aim, and shoot when they have.
     fn shoot(&mut self, scene: &mut Scene<'_>, random: &mut Random) {
         for number in each(scene.everybody()) {
-            let nature = &scene.book.types[self.units[number].kind()];
+            let unit = &mut self.units[number];
+            let nature = &scene.book.types[unit.kind()];
             if nature.weapon == Weapon::Heal {
                 continue;
             }
-            let unit = &mut self.units[number];
             unit.cooldown = (unit.cooldown - 1.0).max(0.0);
             let attacks = scene.intents[number] == Intent::Attack;
-            let mut fires = false;
-            if unit.wind_up > 0 {
-                if attacks && unit.victim == unit.target {
-                    unit.wind_up -= 1;
-                    fires = unit.wind_up == 0;
-                } else {
-                    (unit.wind_up, unit.cooldown, unit.victim) = (0, 0.0, NOBODY);
-                }
+            if unit.wind_up > 0 && !(attacks && unit.victim == unit.target) {
+                (unit.wind_up, unit.cooldown, unit.victim) = (0, 0.0, NOBODY);
             }
-            if attacks && unit.wind_up == 0 && unit.cooldown <= 0.0 && !fires {
+            let fires = if unit.wind_up > 0 {
+                unit.wind_up -= 1;
+                unit.wind_up == 0
+            } else if attacks && unit.cooldown <= 0.0 {
+                // The period begins here, and what the cooldown was below zero is lost.
                 unit.cooldown = nature.period + jitter(scene.book, random);
                 (unit.wind_up, unit.victim) = (nature.wind_up, unit.target);
-                fires = nature.wind_up == 0;
-            }
+                unit.wind_up == 0
+            } else {
+                false
+            };
             if fires {
                 self.fire(scene, number);
             }
@@ -225,10 +223,10 @@ impl Battle {
                 unit.attacker = NOBODY;
             }
         }
-        // Allies have no reflexes.
-        for wounded in each(scene.hurt & scene.living[1]) {
+        for wounded in each(scene.hurt & scene.everybody()) {
             let attacker = self.units[wounded].attacker;
-            for comrade in each(scene.living[1] & !scene.hurt) {
+            let comrades = scene.living[usize::from(wounded >= self.allies)];
+            for comrade in each(comrades & !scene.hurt) {
                 if self.distance(wounded, comrade) <= CALL {
                     (self.units[comrade].attacker, self.units[comrade].alarm) = (attacker, ALARM);
                 }
@@ -245,6 +243,10 @@ fn jitter(book: &Book, random: &mut Random) -> f32 {
 /// How a way is scaled to a length of one, and how long it was.
 #[inline]
 pub(super) fn direction([x, y]: Point) -> (Point, f32) {
-    let far = length([x, y]);
-    if far > 0.0 { ([x / far, y / far], far) } else { ([0.0; 2], 0.0) }
+    let square = x * x + y * y;
+    if square == 0.0 {
+        return ([0.0; 2], 0.0);
+    }
+    let far = libm::sqrtf(square);
+    ([x / far, y / far], far)
 }

@@ -177,11 +177,11 @@ impl Battle {
     /// Takes its new place, on the map, and no farther than its speed: nobody is pushed ahead.
     fn settle(&mut self, book: &Book, crowd: &Crowd, number: usize) {
         let unit = &mut self.units[number];
-        let ([x, y], [there_x, there_y]) = (unit.place, crowd.places[number]);
-        let speed = book.types[unit.kind()].speed;
-        let (way, far) = direction([there_x - x, there_y - y]);
-        let far = far.min(speed);
-        unit.place = [x + way[0] * far, y + way[1] * far].map(|part| part.clamp(0.0, book.side));
+        let place = crowd.places[number].map(|part| part.clamp(0.0, book.side));
+        let ([x, y], speed) = (unit.place, book.types[unit.kind()].speed);
+        let (way, far) = direction([place[0] - x, place[1] - y]);
+        let is_pushed = far > speed;
+        unit.place = if is_pushed { [x + way[0] * speed, y + way[1] * speed] } else { place };
         if crowd.moving >> number & 1 == 0 || far >= CREEPING * speed {
             unit.blocked = 0;
             return;

@@ -19,7 +19,8 @@ const ACQUISITION: f32 = 5.0;
 const PATIENTS: f32 = 6.0;
 /// Energy without which a medivac takes no new patient by itself.
 const ENERGY_TO_START: f32 = 5.0;
-/// How near to a point enemies have arrived, in an attack and in a retreat, which an army of four can be at once.
+/// How near to a point agents have arrived, enemies that attack, and enemies that retreat: four find room there.
+const CLOSE: f32 = 1e-3;
 const ARRIVED: f32 = 1.0;
 const RETREATED: f32 = 1.2;
 /// Ticks for which a retreat is blocked until it is over.
@@ -30,8 +31,8 @@ impl Battle {
     pub(super) fn decide(&mut self, scene: &mut Scene<'_>) {
         for number in each(scene.everybody()) {
             let intent = match self.units[number].order {
-                Order::Stop => self.unled(number, Intent::Stand),
-                Order::Go(point) if number < self.allies => self.unled(number, Intent::Walk(point)),
+                Order::Stop => self.disengage(number, Intent::Stand),
+                Order::Go(point) if number < self.allies => self.walk(number, point, CLOSE),
                 Order::Go(point) => self.retreat(number, point),
                 Order::Attack(target) | Order::Heal(target) => self.obey(scene, number, target),
                 Order::Advance(point) => self.react(scene, number, point),
@@ -40,18 +41,27 @@ impl Battle {
         }
     }
 
-    fn unled(&mut self, unit: usize, intent: Intent) -> Intent {
+    /// Has no target.
+    fn disengage(&mut self, unit: usize, intent: Intent) -> Intent {
         self.units[unit].target = NOBODY;
         intent
     }
 
-    /// Goes and minds nobody; stays on guard where it ends.
-    fn retreat(&mut self, unit: usize, point: Point) -> Intent {
-        let Unit { place, blocked, .. } = self.units[unit];
-        if length([point[0] - place[0], point[1] - place[1]]) <= RETREATED || blocked >= STUCK {
-            self.units[unit].order = Order::Advance(place);
+    /// Goes to a point until it is so near, and minds nobody.
+    fn walk(&mut self, unit: usize, point: Point, near: f32) -> Intent {
+        let [x, y] = self.units[unit].place;
+        let is_there = length([point[0] - x, point[1] - y]) <= near;
+        self.disengage(unit, if is_there { Intent::Stand } else { Intent::Walk(point) })
+    }
+
+    /// Minds nobody, and stays on guard where it ends.
+    fn retreat(&mut self, number: usize, point: Point) -> Intent {
+        let intent = self.walk(number, point, RETREATED);
+        let unit = &mut self.units[number];
+        if intent == Intent::Stand || unit.blocked >= STUCK {
+            unit.order = Order::Advance(unit.place);
         }
-        self.unled(unit, Intent::Walk(point))
+        intent
     }
 
     /// An order to attack or to heal holds until its target is dead; one that can not be followed is none.
@@ -60,7 +70,7 @@ impl Battle {
         let can = scene.book.can_hit(kind, other) || scene.book.can_heal(kind, other);
         if !can || scene.everybody() >> target & 1 == 0 {
             self.units[unit].order = Order::Stop;
-            return self.unled(unit, Intent::Stand);
+            return self.disengage(unit, Intent::Stand);
         }
         self.units[unit].target = target;
         self.engage(scene, unit, target.into())
@@ -72,7 +82,7 @@ impl Battle {
         let nature = &scene.book.types[usize::from(kind)];
         let has_begun = wind_up > 0 && usize::from(victim) == target;
         let range = nature.range + if has_begun { nature.slop } else { 0.0 };
-        if self.gap(scene.book, unit, target) <= range {
+        if self.is_within(scene.book, range, unit, target) {
             Intent::Attack
         } else {
             Intent::Walk(self.units[target].place)
@@ -88,9 +98,7 @@ impl Battle {
             (_, Scan::HealersFirst) => self.most_urgent(scene, unit),
         };
         let Some(target) = target else {
-            let [x, y] = self.units[unit].place;
-            let is_there = length([point[0] - x, point[1] - y]) <= ARRIVED;
-            return self.unled(unit, if is_there { Intent::Stand } else { Intent::Walk(point) });
+            return self.walk(unit, point, ARRIVED);
         };
         self.units[unit].target = target as u8;
         self.engage(scene, unit, target)
@@ -110,15 +118,15 @@ impl Battle {
     fn nearest(&self, scene: &Scene<'_>, unit: usize) -> Option<usize> {
         let (book, kind) = (scene.book, self.units[unit].kind());
         let (foes, nature) = (self.foes(scene, unit), &book.types[kind]);
-        let kept = self.kept(unit, foes);
-        if let Some(kept) =
-            kept.filter(|kept| self.gap(book, unit, *kept) <= nature.range + nature.slop)
-        {
-            return Some(kept);
+        let keeps = nature.range + nature.slop;
+        let kept = self.kept(unit, foes).filter(|kept| self.is_within(book, keeps, unit, *kept));
+        if kept.is_some() {
+            return kept;
         }
+        let sees = nature.range.max(ACQUISITION);
         let can_hit = |foe: &usize| book.can_hit(kind, self.units[*foe].kind());
-        let gaps = each(foes).filter(can_hit).map(|foe| (self.gap(book, unit, foe), foe));
-        least(gaps.filter(|(gap, _)| *gap <= nature.range.max(ACQUISITION)))
+        let seen = each(foes).filter(|foe| self.is_within(book, sees, unit, *foe)).filter(can_hit);
+        least(seen.map(|foe| (self.gap(book, unit, foe), foe)))
     }
 
     /// Who hurt it or a comrade.
@@ -135,8 +143,8 @@ impl Battle {
         let foes = self.foes(scene, unit);
         let is_after = |foe: usize| usize::from(self.units[foe].target) == unit;
         let heals = |foe: usize| book.types[self.units[foe].kind()].weapon == Weapon::Heal;
-        let is_kept =
-            |foe: &usize| is_after(*foe) || self.gap(book, unit, *foe) <= book.types[kind].range;
+        let range = book.types[kind].range;
+        let is_kept = |foe: &usize| is_after(*foe) || self.is_within(book, range, unit, *foe);
         let kept = self.kept(unit, foes).filter(is_kept);
         // While a foe lives that heals, everybody who is after somebody else looks around.
         let is_settled = |kept: &usize| heals(*kept) || !each(foes).any(heals);
@@ -165,12 +173,13 @@ impl Battle {
         };
         let comrades = scene.living[usize::from(unit >= self.allies)];
         let wounded = each(comrades).filter(is_wounded);
-        let near = wounded.filter(|comrade| self.gap(book, unit, *comrade) <= PATIENTS);
+        let near = wounded.filter(|comrade| self.is_within(book, PATIENTS, unit, *comrade));
         let near = near.fold(0, |set, comrade| set | 1 << comrade);
         let kept = self.kept(unit, near);
         let range = book.types[usize::from(kind)].range;
-        if let Some(kept) = kept.filter(|kept| self.gap(book, unit, *kept) <= range) {
-            return Some(kept);
+        let kept = kept.filter(|kept| self.is_within(book, range, unit, *kept));
+        if kept.is_some() {
+            return kept;
         }
         if energy < ENERGY_TO_START {
             return None;

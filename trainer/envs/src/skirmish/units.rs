@@ -239,7 +239,6 @@ impl Book {
         for ((nature, period), speed) in book.types.iter_mut().zip(periods).zip(speeds) {
             nature.period = period * SECOND;
             nature.wind_up = 0;
-            nature.slop = 0.0;
             nature.speed = speed / SECOND;
             nature.acceleration = f32::INFINITY;
             nature.body = nature.radius;

@@ -133,41 +133,65 @@ impl Scenario {
     }
 }
 
-#[test]
-fn table() {
-    for name in [
-        "duel_marine_marine",
-        "duel_marauder_marauder",
-        "duel_zealot_zealot",
-        "duel_marine_zealot",
-        "duel_marine_marauder",
-        "duel_stalker_zealot",
-        "duel_marauder_zealot",
-        "duel_marauder_stalker",
-        "duel_colossus_stalker",
-        "heal_marauder_medivac_vs_marine",
-        "heal_2m1d_vs_3m",
-        "3m_focus",
-        "8m_focus",
-        "5m_vs_6m_focus",
-        "3s_vs_3z_kite",
-        "2s3z_focus",
-        "1c2s2z_focus",
-        "mmm_3m2r1d_closest",
-    ] {
-        let [a, b] = Scenario::read(name).means();
-        println!(
-            "{name:32} end {:.1}/{:.1} hit {:.1}/{:.1} death {:.1}/{:.1} won {:.2}/{:.2} left {:.1?}/{:.1?}",
-            a.combat_end,
-            b.combat_end,
-            a.first_hit,
-            b.first_hit,
-            a.first_death,
-            b.first_death,
-            a.won,
-            b.won,
-            a.left,
-            b.left
-        );
+/// How far means may be from the recorded ones.
+struct Tolerance {
+    /// In ticks.
+    first_hit: f32,
+    /// Shares of the recorded number.
+    first_death: f32,
+    combat_end: f32,
+    won: f32,
+}
+
+fn assert_near(names: &[&str], tolerance: &Tolerance) {
+    for name in names {
+        let [want, got] = Scenario::read(name).means();
+        let label = format!("{name}: {got:?} instead of {want:?}");
+        let is_off = |got: f32, want: f32, share: f32| (got - want).abs() > share * want;
+        assert!((got.first_hit - want.first_hit).abs() <= tolerance.first_hit, "{label}");
+        assert!(!is_off(got.first_death, want.first_death, tolerance.first_death), "{label}");
+        assert!(!is_off(got.combat_end, want.combat_end, tolerance.combat_end), "{label}");
+        assert!((got.won - want.won).abs() <= tolerance.won, "{label}");
     }
+}
+
+/// Also where a medivac heals one of two: who is left has the life that was recorded, but for a hit.
+#[test]
+fn single_combats_are_the_recorded_ones() {
+    for (name, hit) in [
+        ("duel_marine_marine", 6.0),
+        ("duel_marauder_marauder", 19.0),
+        ("duel_zealot_zealot", 14.0),
+        ("duel_marine_zealot", 5.0),
+        ("duel_marine_marauder", 5.0),
+        ("duel_stalker_zealot", 12.0),
+        ("duel_marauder_zealot", 9.0),
+        ("duel_marauder_stalker", 19.0),
+        ("duel_colossus_stalker", 18.0),
+        ("heal_marauder_medivac_vs_marine", 5.0),
+    ] {
+        let [want, got] = Scenario::read(name).means();
+        let label = format!("{name}: {got:?} instead of {want:?}");
+        assert!((got.first_hit - want.first_hit).abs() <= 2.0, "{label}");
+        assert!((got.first_death - want.first_death).abs() <= 2.0, "{label}");
+        assert!((got.combat_end - want.combat_end).abs() <= 2.0, "{label}");
+        for side in 0..2 {
+            assert!((got.left[side] - want.left[side]).abs() <= hit, "{label}");
+        }
+    }
+}
+
+#[test]
+fn skirmishes_of_marines_go_as_recorded() {
+    let names = ["heal_2m1d_vs_3m", "3m_focus", "8m_focus", "5m_vs_6m_focus"];
+    let tolerance = Tolerance { first_hit: 1.0, first_death: 0.1, combat_end: 0.2, won: 0.35 };
+    assert_near(&names, &tolerance);
+}
+
+/// Who wins hangs on who falls first, which no two models of bodies agree on.
+#[test]
+fn skirmishes_of_several_types_go_as_recorded() {
+    let names = ["3s_vs_3z_kite", "2s3z_focus", "1c2s2z_focus", "mmm_3m2r1d_closest"];
+    let tolerance = Tolerance { first_hit: 3.0, first_death: 0.2, combat_end: 0.25, won: 1.0 };
+    assert_near(&names, &tolerance);
 }
