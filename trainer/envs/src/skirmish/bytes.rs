@@ -97,6 +97,7 @@ fn is_unit(unit: &Unit, (book, count): (&Book, usize)) -> bool {
         (0.0..=nature.life).contains(&life) && (0.0..=nature.shield).contains(&shield)
     }) && numbers.into_iter().all(f32::is_finite)
         && exists(aimed_at)
+        && (unit.flight == 0 || exists(victim))
         && [target, victim, attacker].into_iter().all(|other| other == NOBODY || exists(other))
 }
 

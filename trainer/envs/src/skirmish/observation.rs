@@ -29,7 +29,8 @@ const WIDE_SIGHT: f32 = 28.0;
 const TOLD_NAMES: &str = "health shield energy cooldown x y moved-x moved-y attackers attacks";
 const TOLD: usize = 10;
 /// What an agent is told besides of the nearest enemy that it sees, and of the middle of its living friends.
-const NEAR_NAMES: &str = "foe-east foe-north foe-distance foe-within-reach foe-reaches friends-east friends-north";
+const NEAR_NAMES: &str =
+    "foe-east foe-north foe-distance foe-within-reach foe-reaches friends-east friends-north";
 const NEAR: usize = 7;
 /// What is told of enemies where there are armies.
 const ARMY_NAMES: &str = "army-0 army-1 army-2 army-attacks army-since";
@@ -361,7 +362,8 @@ impl Layout {
             let reaches = |unit: usize| gap <= book.types[battle.units[unit].kind()].range;
             push(0, &[east, north, length(way) / SIGHT, flag(reaches(agent)), flag(reaches(foe))]);
         }
-        let friends = battle.side(true).filter(|other| *other != agent && self.sees(battle, agent, *other));
+        let friends =
+            battle.side(true).filter(|other| *other != agent && self.sees(battle, agent, *other));
         let (sum, count) = friends.fold(([0.0; 2], 0.0), |([x, y], count), friend| {
             let [east, north] = battle.way(agent, friend);
             ([x + east, y + north], count + 1.0)
