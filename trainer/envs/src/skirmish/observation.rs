@@ -28,10 +28,6 @@ const WIDE_SIGHT: f32 = 28.0;
 /// What is told of any unit behind its side and its type.
 const TOLD_NAMES: &str = "health shield energy cooldown x y moved-x moved-y attackers attacks";
 const TOLD: usize = 10;
-/// What an agent is told besides of the nearest enemy that it sees, and of the middle of its living friends.
-const NEAR_NAMES: &str =
-    "foe-east foe-north foe-distance foe-within-reach foe-reaches friends-east friends-north";
-const NEAR: usize = 7;
 /// What is told of enemies where there are armies.
 const ARMY_NAMES: &str = "army-0 army-1 army-2 army-attacks army-since";
 /// How an agent stands to whom it may aim at.
@@ -96,7 +92,7 @@ impl Layout {
     }
 
     fn first_tag(&self) -> usize {
-        1 + TYPES + TOLD + if self.is_defence { ARMIES + 2 } else { NEAR }
+        1 + TYPES + TOLD + if self.is_defence { ARMIES + 2 } else { 0 }
     }
 
     pub(super) fn feature_names(&self) -> Vec<String> {
@@ -104,7 +100,7 @@ impl Layout {
         let mut names: Vec<String> = words("is-enemy").collect();
         names.extend(TYPE_NAMES.map(String::from));
         names.extend(words(TOLD_NAMES));
-        names.extend(words(if self.is_defence { ARMY_NAMES } else { NEAR_NAMES }));
+        names.extend(words(ARMY_NAMES).filter(|_| self.is_defence));
         names.extend(
             (names.len()..self.first_slot()).map(|tag| format!("tag-{}", tag - self.first_tag())),
         );
@@ -118,7 +114,7 @@ impl Layout {
 
     /// Most columns of a row that are no zeros: side, type, what is told, army and tag, and all slots.
     pub(super) fn row_entries(&self) -> usize {
-        2 + TOLD + NEAR + 1 + self.slots() * self.slot_features().min(PAIR + 4)
+        2 + TOLD + 3 + 1 + self.slots() * self.slot_features().min(PAIR + 4)
     }
 
     /// The entity that stands for a unit.
@@ -326,51 +322,12 @@ impl Layout {
             rows.push_unless_zero(start + TOLD + ARMIES, f32::from(u8::from(own.attacks)));
             rows.push_unless_zero(start + TOLD + ARMIES + 1, f32::from(own.since) / 20.0);
         }
-        if !self.is_defence && !is_enemy && unit.is_alive() {
-            self.write_nearest((encounter, book), (number, turn), rows);
-        }
         if self.aim == Aim::Tags {
             rows.push(self.first_tag() + usize::from(unit.tag), 1.0);
         } else if !is_enemy && unit.is_alive() {
             self.write_slots((encounter, book), (number, turn), attackers, rows);
         }
         rows.end_row();
-    }
-
-    fn write_nearest(
-        &self,
-        (encounter, book): (&Encounter, &Book),
-        (agent, turn): (usize, usize),
-        rows: &mut SparseRows,
-    ) {
-        let battle = &encounter.battle;
-        let start = 1 + TYPES + TOLD;
-        let flag = |is_so| f32::from(u8::from(is_so));
-        let mut push = |first: usize, told: &[f32]| {
-            for (column, value) in told.iter().enumerate() {
-                rows.push_unless_zero(start + first + column, *value);
-            }
-        };
-        let seen = battle.side(false).filter(|foe| self.sees(battle, agent, *foe));
-        let nearest = seen.min_by(|one, other| {
-            battle.distance(agent, *one).total_cmp(&battle.distance(agent, *other))
-        });
-        if let Some(foe) = nearest {
-            let way = battle.way(agent, foe);
-            let [east, north] = turned(turn, way.map(|part| part / SIGHT));
-            let gap = battle.gap(book, agent, foe);
-            let reaches = |unit: usize| gap <= book.types[battle.units[unit].kind()].range;
-            push(0, &[east, north, length(way) / SIGHT, flag(reaches(agent)), flag(reaches(foe))]);
-        }
-        let friends =
-            battle.side(true).filter(|other| *other != agent && self.sees(battle, agent, *other));
-        let (sum, count) = friends.fold(([0.0; 2], 0.0), |([x, y], count), friend| {
-            let [east, north] = battle.way(agent, friend);
-            ([x + east, y + north], count + 1.0)
-        });
-        if count > 0.0 {
-            push(5, &turned(turn, sum.map(|part| part / count / SIGHT)));
-        }
     }
 
     fn write_slots(
