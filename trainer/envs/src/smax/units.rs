@@ -69,7 +69,7 @@ impl Default for Rules {
             enemy_shoots: true,
             attack_mode: AttackMode::Closest,
             vectors: false,
-            pairs: false,
+            pairs: true,
         }
     }
 }

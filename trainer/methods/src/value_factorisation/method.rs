@@ -173,11 +173,11 @@ impl Gathering<'_> {
 
     /// A state, and the one some steps later.
     fn add_record(&self, lesson: &mut Lesson, drawn: Drawn) {
-        let ReturnsConfig { steps, discount } = self.config.returns;
+        let ReturnsConfig { steps, discount, scale } = self.config.returns;
         let (number, first) = (lesson.rewards.len(), drawn.episode.first);
         self.add_state(lesson, (first, Moment { step: 0, episode: number }), drawn);
         let future = self.replay.future(first, steps, discount);
-        lesson.rewards.push(future.reward);
+        lesson.rewards.push(scale * future.reward);
         lesson.discounts.push(future.discount);
         lesson.next.push(Some(number as u32));
         let seen = &mut lesson.seen;
@@ -188,7 +188,7 @@ impl Gathering<'_> {
 
     /// The states of a whole episode.
     fn add_episode(&self, lesson: &mut Lesson, number: usize, drawn: Drawn) {
-        let ReturnsConfig { steps, discount } = self.config.returns;
+        let ReturnsConfig { steps, discount, scale } = self.config.returns;
         let episode = drawn.episode;
         let start = lesson.rewards.len();
         for step in 0..=episode.steps {
@@ -197,7 +197,7 @@ impl Gathering<'_> {
             let future = self.replay.future(place, steps, discount);
             let ahead = (step < episode.steps).then(|| start + future.place.since(episode.first));
             lesson.next.push(ahead.map(|ahead| ahead as u32));
-            lesson.rewards.push(future.reward);
+            lesson.rewards.push(scale * future.reward);
             lesson.discounts.push(future.discount);
         }
     }
@@ -462,6 +462,26 @@ mod tests {
         assert_eq!(end(true, false), (2.0, 0.0));
         assert_eq!(end(false, true), (2.0, 0.5));
         assert_eq!(end(false, false), (2.0, 0.5));
+    }
+
+    #[test]
+    fn rewards_are_scaled_in_steps_and_in_episodes() {
+        for (unit, rewards) in [(Unit::Steps, vec![30.0]), (Unit::Episodes, vec![30.0, 20.0, 0.0])]
+        {
+            let mut ring = ring();
+            let mut method = new(&*ring, 1, |_| ());
+            let Config { returns, replay, .. } = &mut method.config;
+            (returns.steps, returns.discount, returns.scale) = (2, 1.0, 10.0);
+            replay.unit = unit;
+            play(&mut method, &mut *ring, 1, 2);
+            let gathering =
+                Gathering { config: &method.config, replay: &method.replay, environment: &*ring };
+            let first = method.replay.draw(2, &mut method.random);
+            let mut lesson = Lesson::default();
+            let episode = Episode { first, steps: 2 };
+            gathering.fill(&mut lesson, &[Drawn { episode, part: 0, turn: 0 }]);
+            assert_eq!(lesson.rewards, rewards);
+        }
     }
 
     #[test]

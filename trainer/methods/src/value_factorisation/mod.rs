@@ -7,11 +7,12 @@
 mod loss;
 mod method;
 mod partitions;
+mod presets;
 #[cfg(test)]
 mod tests;
 
-use sortie_envs::{Shape, Spec, View};
-use sortie_learn::configuration::Range::{self, OneOf, Truth, Whole};
+use sortie_envs::{Shape, Spec};
+use sortie_learn::configuration::Range::{self, OneOf, Positive, Truth, Whole};
 use sortie_learn::configuration::{
     EXPLORATION, ExplorationConfig, OPTIMISER, OptimiserConfig, SHARE,
 };
@@ -19,14 +20,13 @@ use sortie_learn::learner::Rule;
 use sortie_learn::networks::{
     AgentShape, Hypernetworks, LookShape, MixerKind, MixerShape, Targets, WeightsSum,
 };
-use sortie_learn::run::RunConfig;
-use sortie_learn::session::{Flag, MethodEntry, Opening, Preset, Setup};
-use sortie_learn::{LearnError, Method, sections, words};
-use sortie_nn::layers::split_attention::{HEADS, WIDTHS};
+use sortie_learn::{sections, words};
+use sortie_nn::layers::split_attention::HEADS;
 
 pub use loss::{Lesson, Losses, NetworkShape, Networks};
 pub use method::ValueFactorisation;
 pub use partitions::Partitions;
+pub use presets::{QMIX, REFIL, VDN};
 
 const SIZE: i64 = 20_000_000;
 const COLUMNS: Range = Whole(0, 1024);
@@ -81,6 +81,9 @@ sections! {
         steps: usize = 3, Whole(1, 1000), "steps";
         /// Worth of a reward one step later.
         discount: f32 = 0.9, SHARE, "factor per step";
+        /// What rewards are multiplied by, so that those of a step are not small against what weights are worth at first.
+        #[serde(default = "as_it_is")]
+        scale: f32 = 1.0, Positive(1e6), "factor";
     }
 
     /// What is kept, and how much of it an update sees.
@@ -119,6 +122,11 @@ sections! {
         /// Updates from one move of the target network to the next.
         target_every: u64 = 1, Whole(1, SIZE), "updates";
     }
+}
+
+/// The scale of rewards in runs of before there was one.
+fn as_it_is() -> f32 {
+    1.0
 }
 
 words! {
@@ -163,7 +171,7 @@ impl Config {
                 weights_sum: WeightsSum::One,
             },
             imagination: ImaginationConfig { partitions: Partitions::None, share: 0.5 },
-            returns: ReturnsConfig { steps: 1, discount: 0.99 },
+            returns: ReturnsConfig { steps: 1, discount: 0.99, scale: 1.0 },
             replay: ReplayConfig {
                 unit: Unit::Episodes,
                 capacity: 2_000,
@@ -189,6 +197,24 @@ impl Config {
         }
     }
 
+    /// The preset `fast` where actions are aimed at entities, as in battles.
+    ///
+    /// Fights are long and shots earn a hundredth: without `scale` the first weights' values drown what is earned, and a
+    /// discount as in Group Matching makes a team that hits early and loses.
+    pub fn aimed() -> Self {
+        let mut aimed = Self::default();
+        let Self { network, mixer, returns, replay, exploration, optimiser, .. } = &mut aimed;
+        (network.width, network.active_inputs) = (64, 8);
+        mixer.weights_sum = WeightsSum::Agents;
+        (returns.discount, returns.scale) = (0.98, 10.0);
+        replay.batch = 128;
+        exploration.steps = 10_000;
+        (optimiser.learning_rate, optimiser.learning_rate_end) = (1e-3, 5e-5);
+        (optimiser.decay_from, optimiser.target_rate) = (0.4, 0.02);
+        optimiser.average_rate = 0.002;
+        aimed
+    }
+
     /// The networks for an environment.
     pub fn shape(&self, spec: &Spec) -> NetworkShape {
         let NetworkConfig { width, active_inputs, skip, memory, .. } = self.network;
@@ -206,121 +232,4 @@ impl Config {
     fn targets(&self, spec: &Spec) -> Targets {
         if self.network.head == Head::Pointing { Targets::of(spec) } else { Targets::default() }
     }
-}
-
-/// A-QMIX: agents that look at entities, under a mixer that does.
-pub const QMIX: MethodEntry = MethodEntry {
-    name: "qmix",
-    about: "Utilities of agents that attend to entities, mixed by what a hypernetwork sees (A-QMIX, dissertation chapter 5)",
-    keys: |_| KEYS,
-    presets: &[
-        Preset { name: "fast", setup: || fast(plain) },
-        Preset { name: "paper", setup: || paper(plain) },
-    ],
-    flags: &[Flag { name: "--mixer", assignments: &["mixer.kind={}"] }],
-    compared_with: None,
-    in_proportion: &[],
-    suit: |_, _, _| {},
-    settle_older: |_| {},
-    misfit,
-    open,
-};
-
-/// VDN: the utilities are added.
-pub const VDN: MethodEntry = MethodEntry {
-    name: "vdn",
-    about: "The same agents, whose utilities are added (VDN)",
-    presets: &[
-        Preset { name: "fast", setup: || fast(add_up) },
-        Preset { name: "paper", setup: || paper(add_up) },
-    ],
-    ..QMIX
-};
-
-/// REFIL: A-QMIX that learns from imagined groups besides.
-pub const REFIL: MethodEntry = MethodEntry {
-    name: "refil",
-    about: "A-QMIX that learns besides from imagined groups, drawn at random (REFIL, dissertation chapter 5)",
-    presets: &[
-        Preset { name: "fast", setup: || fast(imagine) },
-        Preset { name: "paper", setup: || paper(imagine) },
-    ],
-    ..QMIX
-};
-
-fn plain(_: &mut Config) {}
-
-fn add_up(config: &mut Config) {
-    config.mixer.kind = MixerKind::Sum;
-}
-
-fn imagine(config: &mut Config) {
-    config.imagination.partitions = Partitions::Drawn;
-}
-
-fn fast(change: fn(&mut Config)) -> Setup {
-    let run = RunConfig { steps: 100_000, evaluate_every: 10_000, ..RunConfig::default() };
-    setup(16, run, Config::default(), change)
-}
-
-fn paper(change: fn(&mut Config)) -> Setup {
-    let run = RunConfig {
-        steps: 2_000_000,
-        evaluate_every: 10_000,
-        evaluate_episodes: 80,
-        ..RunConfig::default()
-    };
-    setup(8, run, Config::paper(), change)
-}
-
-fn setup(instances: usize, run: RunConfig, mut config: Config, change: fn(&mut Config)) -> Setup {
-    change(&mut config);
-    Setup::of(instances, run, &config)
-}
-
-fn misfit(spec: &Spec) -> Option<&'static str> {
-    (spec.view != View::Entities)
-        .then_some("its agents look at entities, of which this environment shows none")
-}
-
-fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
-    let config: Config = opening.setup.own()?;
-    let spec = opening.environment.spec();
-    let refused = |reason: String| {
-        Err(LearnError::Config(format!("`{}` in `{}`: {reason}", opening.setup.method, spec.name)))
-    };
-    if !WIDTHS.contains(&config.network.width) {
-        return refused(format!(
-            "`network.width` is {}, must be one of {WIDTHS:?}",
-            config.network.width
-        ));
-    }
-    let ReplayConfig { unit, capacity, batch, steps_per_update, .. } = config.replay;
-    let kept = capacity / opening.setup.environment.instances;
-    match unit {
-        Unit::Steps if kept <= 4 * config.returns.steps => {
-            return refused(format!(
-                "`replay.capacity` leaves {kept} states for each instance, too few"
-            ));
-        }
-        Unit::Steps if steps_per_update == 0 => {
-            return refused(
-                "`replay.steps_per_update` is 0, an update for each episode, which `replay.unit=episodes` counts"
-                    .to_owned(),
-            );
-        }
-        Unit::Steps if config.network.memory > 0 => {
-            return refused(
-                "`network.memory` is learned through whole episodes, which `replay.unit=episodes` keeps"
-                    .to_owned(),
-            );
-        }
-        Unit::Episodes if capacity < batch => {
-            return refused(format!(
-                "`replay.capacity` is {capacity} episodes, an update draws {batch} different ones"
-            ));
-        }
-        _ => {}
-    }
-    Ok(Box::new(ValueFactorisation::new(config, opening)))
 }
