@@ -12,11 +12,12 @@ mod networks;
 mod tests;
 
 use sortie_envs::{Spec, View};
-use sortie_learn::configuration::Range::{Numbers, OneOf, Positive, Truth, Whole};
+use sortie_learn::configuration::Range::{Numbers, OneOf, Positive, Whole};
 use sortie_learn::configuration::{OPTIMISER, OptimiserConfig, SHARE};
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method, sections, words};
+use sortie_nn::layers::split_attention::HEADS;
 
 pub use method::Mappo;
 
@@ -28,10 +29,8 @@ sections! {
     network: NetworkConfig {
         /// What the critic values: the whole state (MAPPO), or what each agent sees itself (IPPO).
         critic: Sees = Sees::State, OneOf(Sees::WORDS);
-        /// Width of embedding and attention, a multiple of the heads, or of hidden layers.
+        /// Width of embedding and attention, a multiple of 4, or of hidden layers.
         width: usize = 32, Whole(4, 1024), "columns";
-        /// Heads of attention.
-        heads: usize = 4, Whole(1, 64), "heads";
         /// Inputs that differ from zero, which the first weights are sized for where entities are seen; 0: all columns.
         active_inputs: usize = 3, Whole(0, 1024), "columns";
     }
@@ -40,8 +39,6 @@ sections! {
     rollout: RolloutConfig {
         /// Of each instance, from one time that is learned to the next.
         steps: usize = 64, Whole(1, 65_536), "environment steps";
-        /// Whether agents see each state by one of the environment's symmetries, drawn at random.
-        symmetries: bool = true, Truth;
     }
 
     /// How rewards become advantages and targets.
@@ -59,7 +56,7 @@ sections! {
         /// How often each step is learned from.
         epochs: usize = 4, Whole(1, 100), "times";
         /// Updates in an epoch.
-        minibatches: usize = 4, Whole(1, 1024), "updates";
+        minibatches: usize = 8, Whole(1, 1024), "updates";
         /// By which share chances of actions may move from what they were, before more of it counts for nothing.
         clip: f32 = 0.2, Positive(1.0), "share";
         /// What the entropy of chances counts, at the first step and at the last.
@@ -68,8 +65,8 @@ sections! {
 
     /// How the weights follow the gradient. There is no target network.
     optimiser: OptimiserConfig = OptimiserConfig {
-        learning_rate: 1e-3,
-        decay_from: 0.0,
+        learning_rate: 2e-3,
+        clip: 0.5,
         average_rate: 0.01,
         ..OptimiserConfig::default()
     }, OPTIMISER;
@@ -109,7 +106,7 @@ pub const IPPO: MethodEntry = MethodEntry {
 };
 
 fn fast(critic: Sees) -> Setup {
-    let run = RunConfig { steps: 2_000_000, evaluate_every: 100_000, ..RunConfig::default() };
+    let run = RunConfig { steps: 1_000_000, evaluate_every: 50_000, ..RunConfig::default() };
     let mut config = Config::default();
     config.network.critic = critic;
     Setup::of(32, run, &config)
@@ -125,11 +122,10 @@ fn misfit(spec: &Spec) -> Option<&'static str> {
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
     let config: Config = opening.setup.own()?;
-    let NetworkConfig { width, heads, .. } = config.network;
-    if !width.is_multiple_of(heads) {
-        return Err(LearnError::Config(format!(
-            "`network.width` is {width}, must be a multiple of `network.heads`, {heads}"
-        )));
+    let width = config.network.width;
+    if !width.is_multiple_of(HEADS) {
+        let reason = format!("`network.width` is {width}, must be a multiple of {HEADS}");
+        return Err(LearnError::Config(reason));
     }
     Ok(Box::new(Mappo::new(config, opening)))
 }
