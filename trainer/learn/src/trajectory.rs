@@ -235,6 +235,12 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
         Place { instance: instance as u32, number: self.streams[instance].kept_from }
     }
 
+    /// The states of an instance that have not been forgotten, from the oldest on.
+    pub fn places(&self, instance: usize) -> impl Iterator<Item = Place> + use<N> {
+        let Stream { kept_from, next, .. } = self.streams[instance];
+        (kept_from..next).map(move |number| Place { instance: instance as u32, number })
+    }
+
     /// How many states are kept, those too that episodes ended in.
     pub fn states(&self) -> usize {
         let kept = self.streams.iter().map(|stream| (stream.next - stream.kept_from) as usize);

@@ -9,6 +9,7 @@ pub mod dqn;
 pub mod hal;
 pub mod ma_exp;
 pub mod maac;
+pub mod mappo;
 pub mod multi_explore;
 mod novelty;
 mod options;
@@ -41,6 +42,8 @@ pub const METHODS: &[MethodEntry] = &[
     value_factorisation::QMIX,
     value_factorisation::VDN,
     value_factorisation::REFIL,
+    mappo::MAPPO,
+    mappo::IPPO,
     maac::MAAC,
     maac::COMA,
     maac::COMA_SAC,

@@ -88,7 +88,7 @@ impl Policies {
     }
 
     /// Adds by heads `[rows, actions]` the scores of actions where agents of a group are shown these rows.
-    pub(super) fn score(
+    pub(crate) fn score(
         &self,
         pass: &mut Pass<'_>,
         group: usize,

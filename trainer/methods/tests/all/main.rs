@@ -9,6 +9,7 @@ mod ma_exp_networks;
 mod ma_exp_runs;
 mod maac;
 mod maac_runs;
+mod mappo;
 mod published;
 mod reference;
 mod sessions;

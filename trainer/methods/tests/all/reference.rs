@@ -12,6 +12,7 @@ use sortie_methods::dqn::DQN;
 use sortie_methods::hal::{H_DQN, HAL, HAL_ORACLE};
 use sortie_methods::ma_exp::MA_EXP;
 use sortie_methods::maac::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};
+use sortie_methods::mappo::{IPPO, MAPPO};
 use sortie_methods::value_factorisation::{QMIX, REFIL, VDN};
 use toml::Table;
 
@@ -40,10 +41,11 @@ This page is written by the program; a test compares them.
 const SETTINGS: &str = "environment.settings";
 
 /// The methods of the page; each stands for those that are like it.
-fn pages() -> [(MethodEntry, Vec<MethodEntry>); 6] {
+fn pages() -> [(MethodEntry, Vec<MethodEntry>); 7] {
     [
         (ALMA, vec![FLAT, COPA]),
         (QMIX, vec![VDN, REFIL]),
+        (MAPPO, vec![IPPO]),
         (MAAC, vec![COMA, COMA_SAC, MADDPG, MADDPG_SAC, DDPG]),
         (HAL, vec![HAL_ORACLE, H_DQN]),
         (DQN, vec![]),

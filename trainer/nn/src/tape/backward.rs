@@ -261,7 +261,8 @@ impl Tape {
             let part = Var(self.indices[part as usize]);
             let (rows, columns) = (self.rows(part), self.columns(part));
             self.from(part, own.clone(), |store, _, _, d_y, d_x| {
-                let width = d_y.len() / rows.max(1);
+                // Of no rows nothing is known of their width, nor needed.
+                let width = (d_y.len() / rows.max(1)).max(1);
                 for (d_x, d_y) in d_x.chunks_exact_mut(columns).zip(d_y.chunks_exact(width)) {
                     elementwise::scale(1.0, &d_y[first..first + columns], store, d_x);
                 }

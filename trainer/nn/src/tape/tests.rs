@@ -356,6 +356,18 @@ fn what_is_detached_gets_no_slopes() {
     assert!(descend(&[], (4, &x), &|t: &mut Pass<'_>, x| t.detach(x)).1.is_empty());
 }
 
+/// As where no agent sees anything that it could aim at.
+#[test]
+fn what_stands_beside_each_other_may_have_no_rows() {
+    let (_, slopes, _) = descend(&[], (2, &random(5, 4)), &|t: &mut Pass<'_>, x| {
+        let none = t.gather(x, &[]);
+        let beside = t.concat(&[none, none]);
+        let beside = t.reshape(beside, 2);
+        t.scatter(beside, &[], 2)
+    });
+    assert_eq!(slopes, [0.0; 4]);
+}
+
 /// Though its memory is full of the slopes of the pass before.
 #[test]
 fn a_tape_that_was_used_finds_the_slopes_of_a_new_one() {
