@@ -206,7 +206,7 @@ function showThing(button, view, state, number) {
     return html("span", { class: "bar-track" }, level);
   });
   const team = teamOf(state, number).map((agent) => tint(html("span", { class: "chip" }, episode.agents[agent].name), state.agents[agent].colour));
-  button.replaceChildren(html("b", {}, thing.name), html("span", { class: "look" }, thing.status ?? thing.about), ...levels, html("span", { class: "chips" }, ...team));
+  button.replaceChildren(html("b", {}, thing.name), html("span", { class: "look" }, thing.status ?? thing.about ?? ""), ...levels, html("span", { class: "chips" }, ...team));
   button.setAttribute("aria-pressed", number === view.thing);
   button.setAttribute("aria-label", describeDisc(thing));
 }
