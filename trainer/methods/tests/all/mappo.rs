@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use sortie_learn::draft::{MethodRun, draft_method};
 use sortie_learn::export::DeployedNetworks;
 use sortie_learn::play;
 use sortie_learn::run::{CurvePoint, Observer, Progress};
@@ -105,6 +106,12 @@ fn the_deployed_policy_plays_as_the_team_that_learned() {
         let mine = play::evaluate(&*world, &mut policy, 40, 3).unwrap();
         assert_eq!(mine, play::evaluate(&*world, &mut *method.team(), 40, 3).unwrap(), "{said}");
         assert!(mine.return_mean > 0.0, "{mine:?}");
+        let (description, curve) = (session.description(), session.curve());
+        let run = MethodRun { description, environment: &*world, method, curve };
+        let place = folder.path().join("bundle");
+        let draft = draft_method(&run, folder.path(), &[world.spec().shape], &[], 1).unwrap();
+        let bundle = draft.write(&place).unwrap();
+        assert!(!bundle.golden().cases.is_empty() && place.join("agent.onnx").is_file());
     }
 }
 
