@@ -77,9 +77,11 @@ impl Layout {
         }
     }
 
-    /// Features of each slot in an agent's own row.
+    /// Features of each slot in an agent's own row. Around a base an agent's own row must not tell of armies that it is not
+    /// allocated to, which it would hide from nobody.
     pub(super) fn slot_features(&self) -> usize {
         match self.aim {
+            Aim::Entities if self.is_defence => 0,
             Aim::Entities => PAIR,
             Aim::Distance => PAIR + LISTED,
             Aim::Tags => 0,
@@ -324,7 +326,7 @@ impl Layout {
         }
         if self.aim == Aim::Tags {
             rows.push(self.first_tag() + usize::from(unit.tag), 1.0);
-        } else if !is_enemy && unit.is_alive() {
+        } else if !is_enemy && unit.is_alive() && self.slot_features() > 0 {
             self.write_slots((encounter, book), (number, turn), attackers, rows);
         }
         rows.end_row();
