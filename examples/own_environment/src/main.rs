@@ -22,11 +22,12 @@ use yard::Yard;
 /// Small networks and batches, which are enough here and learned in seconds.
 const SMALL: &[&str] = &["network.width=32", "replay.batch=64", "exploration.steps=10_000"];
 
-/// Has a method learn the environment, by its preset `fast` with other values of some keys.
+/// Has a method learn the environment, by its preset `fast` as it suits it, with other values of some keys.
 fn learn(method: &str, assignments: &[&str], folder: &Path) -> Result<Session, Box<dyn Error>> {
     let yard = || Box::new(Yard::new(1));
     let entry = sortie_methods::find(method).ok_or("no such method")?;
     let mut setup = entry.preset("fast")?;
+    (entry.suit)("fast", &mut setup, yard().spec());
     setup.environment = EnvironmentChoice::of(&*yard(), 16);
     setup.run = RunConfig { steps: 40_000, evaluate_every: 10_000, final_episodes: 0, ..setup.run };
     entry.fit_to_length(&mut setup, |_| false);
