@@ -154,6 +154,33 @@ impl Battle {
     }
 }
 
+/// What a unit does in a tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) enum Intent {
+    #[default]
+    Stand,
+    Walk(Point),
+    /// To stand, and to shoot at its target or heal it.
+    Attack,
+}
+
+/// What a tick knows of all units.
+pub(super) struct Scene<'a> {
+    pub(super) book: &'a Book,
+    /// Those that lived when units decided: allies, enemies.
+    pub(super) living: [UnitSet; 2],
+    pub(super) intents: [Intent; CAPACITY],
+    /// Who was wounded in this tick.
+    pub(super) hurt: UnitSet,
+}
+
+impl Scene<'_> {
+    #[inline]
+    pub(super) fn everybody(&self) -> UnitSet {
+        self.living[0] | self.living[1]
+    }
+}
+
 #[inline]
 pub(super) fn length([x, y]: Point) -> f32 {
     libm::sqrtf(x * x + y * y)
@@ -167,4 +194,15 @@ pub(super) fn each(mut set: UnitSet) -> impl Iterator<Item = usize> {
         set &= set.wrapping_sub(1);
         first
     })
+}
+
+/// How a way is scaled to a length of one, and how long it was.
+#[inline]
+pub(super) fn direction([x, y]: Point) -> (Point, f32) {
+    let square = x * x + y * y;
+    if square == 0.0 {
+        return ([0.0; 2], 0.0);
+    }
+    let far = libm::sqrtf(square);
+    ([x / far, y / far], far)
 }

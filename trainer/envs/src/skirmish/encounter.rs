@@ -4,11 +4,13 @@ use serde::{Deserialize, Serialize};
 
 use super::armies::{ARMIES, Armies, Fate, is_armed};
 use super::battle::{Battle, CAPACITY, NOBODY, Order, UnitSet};
-use super::scenarios::{DEATH, Team};
-use super::units::Book;
+use super::units::{Book, Team};
 use crate::observation::members;
 use crate::random::{Random, below, shuffle};
 
+/// What a unit that dies, and a victory, is rewarded with before all is divided.
+pub(super) const DEATH: f64 = 10.0;
+pub(super) const VICTORY: f64 = 200.0;
 /// Ticks of a step.
 const TICKS: usize = 8;
 

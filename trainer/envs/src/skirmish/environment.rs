@@ -11,11 +11,11 @@ use super::VERSION;
 use super::armies::{ARMIES, Fate};
 use super::battle::{CAPACITY, NOBODY, Order};
 use super::bytes::state_bytes;
-use super::encounter::{Encounter, Outcome};
+use super::encounter::{Encounter, Outcome, VICTORY};
 use super::observation::{Aim, Layout, ORDERS, turned_action};
 use super::picture::picture;
 use super::rules::{RULES, allocate, scripted};
-use super::scenarios::{SETS, Scenario, VICTORY, meeting_name};
+use super::scenarios::{SETS, Scenario, meeting_name};
 use super::units::{Book, Rules};
 use crate::bytes::known;
 use crate::entry::{Choice, Entry, EnvironmentError};
@@ -155,7 +155,8 @@ fn open(choice: &Choice<'_>) -> Result<Skirmish, EnvironmentError> {
     if !(0.0..=10.0).contains(&settings.own_losses) {
         return Err(EnvironmentError::Setting("`own_losses` is from 0 to 10".to_string()));
     }
-    let scenario = Scenario::named(set, settings.extra_seed).ok_or_else(|| {
+    let fits = |scenario: &Scenario| ORDERS + scenario.targets() <= Shape::ACTIONS;
+    let scenario = Scenario::named(set, settings.extra_seed).filter(fits).ok_or_else(|| {
         EnvironmentError::Set(format!(
             "no set `{set}`; there are {}, and teams such as `2s3z` or `5m_vs_6m` of c (colossi), M (marauders), m (marines), \
              d (medivacs), s (stalkers), z (zealots), together at most {CAPACITY}, in the open or with `-symmetric` or \

@@ -1,7 +1,8 @@
 //! A tick: what was shot hits, units decide, walk, shoot and die, wounds heal.
 
-use super::battle::{Battle, CAPACITY, NOBODY, Order, Point, UnitSet, each, length};
-use super::orders::Intent;
+use super::battle::{
+    Battle, CAPACITY, Intent, NOBODY, Order, Scene, UnitSet, direction, each, length,
+};
 use super::units::{Book, FULL_ENERGY, Weapon};
 use crate::random::{Random, unit};
 
@@ -17,23 +18,6 @@ const ALARM: u8 = 32;
 const CALL: f32 = 4.0;
 /// Half the width of a line of fire.
 const LINE_WIDTH: f32 = 0.15;
-
-/// What a tick knows of all units.
-pub(super) struct Scene<'a> {
-    pub(super) book: &'a Book,
-    /// Those that lived when units decided: allies, enemies.
-    pub(super) living: [UnitSet; 2],
-    pub(super) intents: [Intent; CAPACITY],
-    /// Who was wounded in this tick.
-    hurt: UnitSet,
-}
-
-impl Scene<'_> {
-    #[inline]
-    pub(super) fn everybody(&self) -> UnitSet {
-        self.living[0] | self.living[1]
-    }
-}
 
 impl Battle {
     /// All units decide by how the tick begins, and nobody falls before all have shot: no side is first, and both may lose
@@ -238,15 +222,4 @@ impl Battle {
 /// Ticks that chance adds to the period of a shot.
 fn jitter(book: &Book, random: &mut Random) -> f32 {
     book.jitter.map_or(0.0, |[least, most]| least + (most - least) * unit(random) as f32)
-}
-
-/// How a way is scaled to a length of one, and how long it was.
-#[inline]
-pub(super) fn direction([x, y]: Point) -> (Point, f32) {
-    let square = x * x + y * y;
-    if square == 0.0 {
-        return ([0.0; 2], 0.0);
-    }
-    let far = libm::sqrtf(square);
-    ([x / far, y / far], far)
 }

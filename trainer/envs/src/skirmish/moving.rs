@@ -1,8 +1,6 @@
 //! How units walk: around those in their way, and apart from those they overlap.
 
-use super::battle::{Battle, CAPACITY, NOBODY, Point, UnitSet, each};
-use super::fight::{Scene, direction};
-use super::orders::Intent;
+use super::battle::{Battle, CAPACITY, Intent, NOBODY, Point, Scene, UnitSet, direction, each};
 use super::units::{Book, Layer};
 
 /// How near others come into question, beside both bodies: no two units come nearer in a tick.

@@ -1,18 +1,7 @@
 //! What units make of their orders: whom they fight, and where they go.
 
-use super::battle::{Battle, NOBODY, Order, Point, Unit, UnitSet, each, length};
-use super::fight::Scene;
+use super::battle::{Battle, Intent, NOBODY, Order, Point, Scene, Unit, UnitSet, each, length};
 use super::units::{Scan, Weapon};
-
-/// What a unit does in a tick.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) enum Intent {
-    #[default]
-    Stand,
-    Walk(Point),
-    /// To stand, and to shoot at its target or heal it.
-    Attack,
-}
 
 /// From where on enemies see foes, and medivacs patients, from edge to edge.
 const ACQUISITION: f32 = 5.0;

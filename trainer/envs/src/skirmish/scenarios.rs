@@ -8,11 +8,11 @@ use core::f32::consts::TAU;
 
 use super::armies::{ARMIES, Armies, is_armed};
 use super::battle::{Battle, CAPACITY, Point, length};
-use super::encounter::Encounter;
-use super::observation::ORDERS;
-use super::units::{Book, COLOSSUS, MARAUDER, MARINE, MEDIVAC, STALKER, TYPES, UnitType, ZEALOT};
+use super::encounter::{DEATH, Encounter, VICTORY};
+use super::units::{
+    Book, COLOSSUS, MARAUDER, MARINE, MEDIVAC, STALKER, TYPES, Team, UnitType, ZEALOT,
+};
 use crate::random::{Random, below, generator, unit};
-use crate::spec::Shape;
 
 /// Letters of types in names of teams; the fourth is what a medivac is called besides, a dropship.
 const LETTERS: [char; TYPES] = ['c', 'M', 'm', 'd', 's', 'z'];
@@ -20,9 +20,6 @@ const LETTERS: [char; TYPES] = ['c', 'M', 'm', 'd', 's', 'z'];
 /// The names of sets that lists show; there are more teams.
 pub(super) const SETS: &str = "3-8sz 3-8csz 3-8MMM 3-8m 2s3z 3s5z 6-8sz-symmetric \
     6-8sz-disadvantage 6-8MMM-symmetric 6-8MMM-disadvantage";
-
-/// The types of a team's units, in rising order.
-pub(super) type Team = Vec<u8>;
 
 /// Which teams meet, and how.
 #[derive(Clone, Debug)]
@@ -59,7 +56,6 @@ impl Scenario {
         let [allies, enemies] = scenario.most();
         let fits = allies.min(enemies) > 0
             && allies + enemies <= CAPACITY
-            && ORDERS + scenario.targets() <= Shape::ACTIONS
             && scenario.teams.iter().flatten().all(|team| team.iter().any(|kind| is_armed(*kind)));
         fits.then_some(scenario)
     }
@@ -120,10 +116,6 @@ impl Scenario {
         encounter
     }
 }
-
-/// What a unit that dies, and a victory, is rewarded with before all is divided.
-pub(super) const DEATH: f64 = 10.0;
-pub(super) const VICTORY: f64 = 200.0;
 
 fn around([x, y]: Point, angle: f32, distance: f32) -> Point {
     [x + distance * libm::cosf(angle), y + distance * libm::sinf(angle)]
