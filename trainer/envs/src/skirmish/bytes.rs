@@ -58,7 +58,8 @@ impl Encounter {
         if found != LAYOUT {
             return Err(StateError::Version { found, wanted: LAYOUT });
         }
-        let broken = |error: postcard::Error| StateError::Impossible(format!("{error}"));
+        let broken =
+            |_: postcard::Error| StateError::Impossible("its bytes end or say nothing".into());
         let (head, mut rest) = postcard::take_from_bytes::<Head>(bytes).map_err(broken)?;
         let [allies, count] = [head.allies, head.count].map(usize::from);
         let sizes = [allies, count.saturating_sub(allies)];
