@@ -175,7 +175,8 @@ mod tests {
     fn choices_are_the_rules_of_the_environments_each_once() {
         let names: Vec<&str> =
             AllocatorChoice::value_variants().iter().map(|choice| choice.name()).collect();
-        assert_eq!(names, ["learned", "coordinated", "heuristic", "random"]);
+        let all = ["learned", "coordinated", "heuristic", "random", "dynamic", "matching"];
+        assert_eq!(names, all);
         let rules: Vec<&str> =
             Allocation::value_variants().iter().map(|rule| rule.name()).collect();
         assert_eq!(rules, names[1..]);

@@ -16,8 +16,11 @@ fn every_environment_holds_to_the_laws_in_every_set() {
             let name = format!("{}/{set}", entry.name);
             let environment = open(&name, Split::Train, 1, &Default::default()).unwrap();
             assert_eq!(environment.spec().name, entry.name);
-            assert_eq!(environment.spec().rules, entry.rules, "{name}");
-            assert!(entry.reader.is_some() || entry.rules.is_empty(), "{name}: rules need frames");
+            // Some sets have no subtasks to allocate.
+            let rules = if environment.spec().shape.tasks > 0 { entry.rules } else { &[] };
+            assert_eq!(environment.spec().rules, rules, "{name}");
+            let relates = environment.spec().relations > 0;
+            assert!(entry.reader.is_some() || !relates, "{name}: relations need frames");
             assert_eq!(conformance::check(&*environment, 3, 6), Ok(()), "{name}");
         }
     }
