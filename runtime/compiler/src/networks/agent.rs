@@ -55,12 +55,17 @@ impl<E: Engine> AgentGraph<E> {
             return Err(DecideError::HiddenState { want, got });
         }
         let Self { engine, columns, tensors, .. } = self;
-        // Who is aimed at is said by numbers of rows: all of them are there, zeros where nobody is.
-        let rows = columns.rows(seen, if self.aimed_at > 0 { Rows::All } else { rows })?;
+        let shown = columns.rows(seen, rows)?;
+        // Who is aimed at is said by numbers of rows: all of them are there, zeros where nobody is or is to be shown.
+        let rows = if self.aimed_at > 0 { columns.rows(seen, Rows::All)? } else { shown };
         let count = rows.len().max(self.aimed_at);
         let entities = tensors.room(0, &[count, columns.columns]).ok_or(DecideError::BadLength)?;
-        for row in rows.iter() {
-            columns.push_row(seen, row, entities)?;
+        for (place, row) in rows.iter().enumerate() {
+            if shown.contains(row) {
+                columns.push_row(seen, row, entities)?;
+            } else {
+                entities.resize((place + 1) * columns.columns, E::Number::from(0.0));
+            }
         }
         entities.resize(count * columns.columns, E::Number::from(0.0));
         let own = rows.iter().position(|row| row == seen.self_index).unwrap_or(0);

@@ -57,6 +57,30 @@ fn an_int8_agent_is_near_its_graph() {
     }
 }
 
+/// What stands in rows that an agent does not see reaches no graph, although rows keep their numbers.
+#[test]
+fn numbers_that_are_none_in_hidden_rows_change_nothing() {
+    for (name, features, actions, ..) in AGENTS {
+        let mut graph = GraphPolicy::by_tract(&golden(name), features).unwrap();
+        let mut hidden = vec![0.0; graph.hidden()];
+        let mut ask = |seen: &OwnedObservation| {
+            let mut utilities = vec![0.0; actions];
+            hidden.fill(0.0);
+            graph.utilities_with(&seen.view(), &mut hidden, &mut utilities).map(|()| utilities)
+        };
+        for mut seen in random_observations(20, 9, features, actions, 6) {
+            let before = ask(&seen).unwrap();
+            let (visible, own) = (seen.visible, seen.self_index);
+            for (row, numbers) in seen.rows.chunks_exact_mut(features).enumerate() {
+                if !visible.contains(row) && row != own {
+                    numbers.fill(f32::NAN);
+                }
+            }
+            assert_eq!(ask(&seen), Ok(before), "{name}");
+        }
+    }
+}
+
 /// Who is aimed at is what counts, not its number: targets that trade places trade utilities.
 #[test]
 fn targets_that_trade_places_trade_utilities() {
