@@ -9,7 +9,7 @@ use crate::random::{Random, below};
 /// Most armies.
 pub(super) const ARMIES: usize = 3;
 /// An enemy that is so near to the middle is in the base.
-pub(super) const BASE: f32 = 2.0;
+const BASE: f32 = 2.0;
 
 /// How an army stands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -68,7 +68,9 @@ impl Armies {
 
     /// Whether there can be such armies.
     pub(super) fn is_sound(&self) -> bool {
-        self.count <= ARMIES && self.list.iter().flat_map(|army| army.centre).all(f32::is_finite)
+        let is_army =
+            |army: &Army| army.to_next >= 0 && army.centre.into_iter().all(f32::is_finite);
+        self.count <= ARMIES && self.list.iter().all(is_army)
     }
 
     /// Tells units of the other side what their armies do next.

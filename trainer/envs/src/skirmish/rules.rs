@@ -1,12 +1,11 @@
 //! Rules that allocate agents to armies, and a script that fights them.
 
 use super::armies::ARMIES;
-use super::battle::CAPACITY;
+use super::battle::{CAPACITY, each};
 use super::encounter::Encounter;
 use super::observation::{Layout, toward};
 use super::units::{Book, MEDIVAC, TYPES};
 use crate::decisions::UNASSIGNED;
-use crate::observation::members;
 use crate::random::{Random, generator, member, shuffle};
 use crate::spec::Rule;
 
@@ -85,13 +84,13 @@ pub(super) fn scripted(
         let need = |other: usize| {
             if is_healer { life(encounter, book, other) } else { battle.distance(agent, other) }
         };
-        let aims = members(others.into()).filter_map(|other| {
+        let aims = each(others).filter_map(|other| {
             let aim = layout.action_at(encounter, agent, other)?;
             (available >> aim & 1 == 1 && (!is_healer || need(other) < 1.0))
                 .then_some((need(other), aim))
         });
         let aim = aims.min_by(|one, other| one.0.total_cmp(&other.0)).map(|(_, aim)| aim);
-        let nearest = members(others.into()).min_by(|one, other| {
+        let nearest = each(others).min_by(|one, other| {
             battle.distance(agent, *one).total_cmp(&battle.distance(agent, *other))
         });
         let walk = nearest.map(|other| toward(battle.way(agent, other)));

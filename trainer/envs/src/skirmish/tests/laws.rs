@@ -159,7 +159,7 @@ fn bytes_that_are_no_state_are_refused() {
         // Whatever is changed is refused, or is a state that an episode goes on from.
         let mut seen = Observation::default();
         for (place, value) in
-            (0..state.len()).flat_map(|place| [0, 1, 7, 200, 255].map(|v| (place, v)))
+            (0..state.len()).flat_map(|place| [0, 1, 7, 128, 200, 255].map(|v| (place, v)))
         {
             let mut changed = state.clone();
             changed[place] = value;
