@@ -186,3 +186,54 @@ fn actions_that_are_not_available_are_refused_and_change_nothing() {
     assert_eq!(refused, Err(StepError::TooFewActions { agents: 5, actions: 4 }));
     assert_eq!(saved(&*skirmish), state);
 }
+
+/// The way that an agent went shows as that of the action which it has under a symmetry, and all symmetries differ.
+#[test]
+fn ways_and_actions_turn_alike() {
+    for action in 1..5_u16 {
+        let mut skirmish = opened("1m", &[]);
+        skirmish.reset(0, &mut generator(1));
+        skirmish.step(0, &[action], &mut generator(2)).unwrap();
+        let state = saved(&*skirmish);
+        let mut seen = Observation::default();
+        let names = skirmish.spec().features.clone();
+        let column = |name: &str| names.iter().position(|known| known == name).unwrap();
+        let columns = ["moved-x", "moved-y", "x", "y"].map(column);
+        let mut shown = Vec::new();
+        for turn in 0..skirmish.spec().turns {
+            skirmish.observe(&state, turn, 1, &mut seen);
+            let mut row = vec![0.0; names.len()];
+            seen.rows.write_dense(0, &mut row);
+            let [east, north, x, y] = columns.map(|column| row[column]);
+            let way = match skirmish.turned_action(turn, action) {
+                1 => [0.0, 1.0],
+                2 => [1.0, 0.0],
+                3 => [0.0, -1.0],
+                _ => [-1.0, 0.0],
+            };
+            assert!(east * way[0] + north * way[1] > 0.4, "{action} {turn}: {east} {north}");
+            assert!(!shown.contains(&[x, y]), "{turn} shows what another one does");
+            shown.push([x, y]);
+        }
+    }
+}
+
+/// What allies lose counts while learning, where that is set, and never when it is measured.
+#[test]
+fn own_losses_lower_what_is_learned_from_alone() {
+    let returned = |own_losses: f64, split| {
+        let settings = [("own_losses".to_string(), Setting::Number(own_losses))];
+        let mut skirmish = open("skirmish/2s3z", split, 1, &settings.into()).unwrap();
+        let mut random = generator(5);
+        skirmish.reset(0, &mut random);
+        while !skirmish.episode(0).done {
+            skirmish.step(0, &[0; 5], &mut random).unwrap();
+        }
+        skirmish.episode(0).episode_return
+    };
+    assert_eq!(returned(0.0, Split::Train), 0.0);
+    assert_eq!(returned(1.0, Split::Test), 0.0);
+    // All are lost: their bodies, and ten for each.
+    let lost = (2.0 * 160.0 + 3.0 * 150.0 + 50.0) / ((50.0 + 200.0 + 770.0) / 20.0);
+    assert!((returned(1.0, Split::Train) + lost).abs() < 1.0, "{}", returned(1.0, Split::Train));
+}
