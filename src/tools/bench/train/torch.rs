@@ -148,8 +148,7 @@ impl Tensors {
         }
         let count = drawn.len();
         let name = |part: &str| format!("batch{number}.{part}");
-        let shape = experience.environment.spec().shape;
-        let rows = [count, team + 1, Columns::of(&shape).unmarked()];
+        let rows = [count, team + 1, Columns::of(experience.environment.spec()).unmarked()];
         self.floats(name("rows"), &rows, &dense.rows);
         self.floats(name("next_rows"), &rows, &dense.next_rows);
         self.flags(name("present"), &[count, team], &dense.present);
@@ -228,13 +227,13 @@ impl<'a> Seen<'a> {
 
     /// The row of an entity, an agent's with its last action, or of none.
     fn row(&self, entity: Option<usize>) -> Vec<f32> {
-        let shape = self.environment.spec().shape;
-        let mut row = vec![0.0; Columns::of(&shape).unmarked()];
+        let spec = self.environment.spec();
+        let mut row = vec![0.0; Columns::of(spec).unmarked()];
         let Some(entity) = entity else { return row };
-        self.seen.rows.write_dense(self.seen.row_of(entity), &mut row[..shape.features]);
+        self.seen.rows.write_dense(self.seen.row_of(entity), &mut row[..spec.shape.features]);
         let last_action = self.moment.last_actions.get(entity).copied().unwrap_or(NO_ACTION);
         if last_action != NO_ACTION {
-            row[shape.features + usize::from(self.turned(last_action.into()))] = 1.0;
+            row[spec.shape.features + usize::from(self.turned(last_action.into()))] = 1.0;
         }
         row
     }

@@ -10,16 +10,14 @@
 //! number; 0 where the agent does not see it. Where an environment says how an agent stands to each of its targets, these
 //! features stand behind the embedding in that product, and the agent's vector is as much longer.
 
-use std::ops::Range;
-
-use sortie_envs::Spec;
 use sortie_nn::layers::gru::lengths;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Gru, Linear, Parameters, Pass, Var};
 
+use super::aims::Targets;
 use super::attention::{Attended, EntityAttention, LookShape};
-use super::batch::{Aims, EntityBatch, View};
-use crate::export::{AttentionNetwork, GruCell, Layer, Layout, Matrix, PairHead, PointingHead};
+use super::batch::{EntityBatch, View};
+use crate::export::{AttentionNetwork, GruCell, Layer, Layout, Matrix};
 
 /// Sizes of the agents' network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,37 +32,6 @@ pub struct AgentShape {
     pub memory: usize,
     /// What the last actions aim at, where the head points at it.
     pub targets: Targets,
-}
-
-/// Entities at which the last actions aim, one each.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Targets {
-    /// The first of them.
-    pub first: usize,
-    /// How many; 0: no action aims at one.
-    pub count: usize,
-    /// The column of the agent's own row where the features of pairs with them begin.
-    pub first_pair: usize,
-    /// Features of a pair.
-    pub pair_features: usize,
-}
-
-impl Targets {
-    /// What actions aim at in an environment.
-    pub fn of(spec: &Spec) -> Self {
-        let (count, pair_features) = (spec.targets.len(), spec.pair_features());
-        Self { first: spec.targets.start, count, first_pair: spec.pairs.start, pair_features }
-    }
-
-    /// The entities.
-    pub fn entities(self) -> Range<usize> {
-        self.first..self.first + self.count
-    }
-
-    /// The columns of the agent's own row that say how it stands to them.
-    pub fn pairs(self) -> Range<usize> {
-        self.first_pair..self.first_pair + self.count * self.pair_features
-    }
 }
 
 /// The layers.
@@ -140,7 +107,7 @@ impl EntityAgent {
         match self.pointing {
             Some(pointing) => {
                 let vectors = pass.linear(last, pointing);
-                let aimed = point(pass, batch.aims(view), [vectors, attended.embeddings]);
+                let aimed = batch.aims(view).point(pass, [vectors, attended.embeddings]);
                 pass.concat(&[untargeted, aimed])
             }
             None => untargeted,
@@ -178,7 +145,7 @@ impl EntityAgent {
             skip: self.skip.map(outputs_first),
             fc2: self.memory.map(|(before, _)| whole(before)),
             head: whole(self.head),
-            pointing: self.pointing.map(|pointing| self.deployed_pointing(pointing, values)),
+            pointing: self.pointing.map(|pointing| self.shape.targets.deployed(pointing, values)),
         };
         let memory = self.memory.map(|(_, Gru { width, start })| {
             let mut rest = &values[start..];
@@ -189,43 +156,6 @@ impl EntityAgent {
         });
         (network, memory)
     }
-
-    /// The head that points; what the vector makes of pairs stands behind what it makes of embeddings.
-    fn deployed_pointing<'a>(&self, pointing: Linear, values: &'a [f32]) -> PointingHead<'a> {
-        let Targets { first, count, first_pair, pair_features } = self.shape.targets;
-        let Linear { shape, .. } = pointing;
-        let width = shape.output - pair_features;
-        let weights = values[pointing.weight_range()].split_at(width * shape.input);
-        let biases = bias(pointing, values).split_at(width);
-        let pairs = PairHead {
-            first: first_pair,
-            features: pair_features,
-            weights: Layer::outputs_first(weights.1, biases.1),
-        };
-        PointingHead {
-            first_entity: first,
-            count,
-            query: Layer::outputs_first(weights.0, biases.0),
-            pairs: (pair_features > 0).then_some(pairs),
-        }
-    }
-}
-
-/// The utilities `[queries, targets]` of aimed actions: products of vectors with embeddings `[rows, width]` and, behind them,
-/// what is known of each pair.
-fn point(pass: &mut Pass<'_>, aims: Aims<'_>, [vectors, embeddings]: [Var; 2]) -> Var {
-    let queries = pass.size(vectors)[0];
-    let vectors = pass.gather(vectors, aims.queries);
-    let mut targets = pass.gather(embeddings, aims.rows);
-    let features = pass.size(vectors)[1] - pass.size(targets)[1];
-    if features > 0 {
-        let pairs = pass.input(features, aims.features);
-        targets = pass.concat(&[targets, pairs]);
-    }
-    let products = pass.multiply(vectors, targets);
-    let products = pass.sum_columns(products);
-    let all = pass.scatter(products, aims.places, queries * aims.targets);
-    pass.reshape(all, aims.targets)
 }
 
 /// The offsets of a layer that has some.

@@ -2,13 +2,13 @@
 //! which part of a partition.
 
 use std::collections::HashMap;
-use std::iter::Peekable;
 use std::ops::Range;
 
 use sortie_envs::{ActionSet, EntitySet, Observation, SparseRows, members};
 use sortie_nn::layers::VisibleLists;
 
 use super::BLOCKS;
+use super::aims::{AimView, Aims};
 
 /// When a state was, in which of the episodes that go through time side by side.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -41,21 +41,6 @@ pub struct Teams<'a> {
     pub numbers: &'a [u32],
     /// `[teams]`: agents of each.
     pub sizes: &'a [f32],
-}
-
-/// What aimed actions aim at, of each query those targets that it sees.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Aims<'a> {
-    /// Aimed actions.
-    pub(super) targets: usize,
-    /// The query of each pair.
-    pub(super) queries: &'a [u32],
-    /// The row of its target.
-    pub(super) rows: &'a [u32],
-    /// Where their utility stands among `[queries, targets]`.
-    pub(super) places: &'a [u32],
-    /// The features of each pair, one behind the other.
-    pub(super) features: &'a [f32],
 }
 
 impl View<'_> {
@@ -92,14 +77,8 @@ pub struct EntityBatch {
     teams: Vec<u32>,
     available: Vec<ActionSet>,
     timeline: Timeline,
-    /// The entity that each aimed action aims at.
-    targets: Vec<usize>,
-    /// The columns of agents' own rows that hold features of pairs with these.
-    related: Range<usize>,
-    /// Query, row and place of every pair, block by block.
-    pairs: [Vec<u32>; 3],
-    /// The features of every pair, in the same order.
-    pair_features: Vec<f32>,
+    /// What actions aim at, block by block.
+    aims: Aims,
 }
 
 /// The different rows among many.
@@ -150,9 +129,7 @@ impl EntityBatch {
     /// From the next [`finish`](Self::finish) on the last actions aim at these entities, one each; these columns of an
     /// agent's own row say how it stands to them, as many for each.
     pub fn aim_at(&mut self, targets: impl Iterator<Item = usize>, related: Range<usize>) {
-        self.targets.clear();
-        self.targets.extend(targets);
-        self.related = related;
+        self.aims.aim_at(targets, related);
     }
 
     /// Forgets all states, keeps the memory.
@@ -210,10 +187,8 @@ impl EntityBatch {
         }
         self.seen.clear();
         self.known.clear();
-        self.pairs.iter_mut().for_each(Vec::clear);
-        self.pair_features.clear();
+        self.aims.clear();
         let mut queries = (0..).zip(&self.queries);
-        let features = self.related.len() / self.targets.len().max(1);
         let mut rows = [0; EntitySet::BITS as usize];
         for sets in &self.states {
             for (entity, row) in sets.rows(agents) {
@@ -227,43 +202,19 @@ impl EntityBatch {
                     lists.push_parts(members(seen & part).map(row), members(seen & !part).map(row));
                 };
                 list(&mut self.seen, query.observable);
-                let targets = self.targets.iter().enumerate();
-                let mut own = self.rows.row(number as usize).peekable();
-                for (target, entity) in
-                    targets.filter(|(_, entity)| query.observable >> **entity & 1 == 1)
-                {
-                    let place = number * self.targets.len() as u32 + target as u32;
-                    let pair = [number, row(*entity) as u32, place];
-                    self.pairs.iter_mut().zip(pair).for_each(|(all, own)| all.push(own));
-                    let start = self.related.start + target * features;
-                    add_part(&mut own, start..start + features, &mut self.pair_features);
-                }
+                let own = self.rows.row(number as usize);
+                self.aims.push((number, own), query.observable, row);
                 if self.hides {
                     list(&mut self.known, sets.agents | sets.others);
                 }
             }
         }
         if imagines {
-            self.repeat_pairs();
+            // Whoever an agent is with in what is imagined, it aims at what it sees.
+            self.aims.repeat(BLOCKS, self.queries.len());
         }
         self.number_teams();
         self.timeline.lay_out(imagines);
-    }
-
-    /// Whoever an agent is with in what is imagined, it aims at what it sees.
-    fn repeat_pairs(&mut self) {
-        let (pairs, queries) = (self.pairs[0].len(), self.queries.len());
-        let features = self.pair_features.len();
-        let [of_queries, rows, places] = &mut self.pairs;
-        let strides = [(of_queries, queries), (rows, 0), (places, queries * self.targets.len())];
-        for (all, stride) in strides {
-            for block in 1..BLOCKS {
-                let further = (block * stride) as u32;
-                all.extend_from_within(..pairs);
-                all[block * pairs..].iter_mut().for_each(|number| *number += further);
-            }
-        }
-        (1..BLOCKS).for_each(|_| self.pair_features.extend_from_within(..features));
     }
 
     /// Says of every agent which team it is in, once for each imagined block.
@@ -297,18 +248,9 @@ impl EntityBatch {
     }
 
     /// What aimed actions aim at in a view.
-    pub(super) fn aims(&self, view: View<'_>) -> Aims<'_> {
-        let [queries, rows, places] = &self.pairs;
+    pub(super) fn aims(&self, view: View<'_>) -> AimView<'_> {
         let repeats = self.imagines && !view.imagines;
-        let blocks = if repeats { BLOCKS } else { 1 };
-        let (pairs, features) = (queries.len() / blocks, self.pair_features.len() / blocks);
-        Aims {
-            targets: self.targets.len(),
-            queries: &queries[..pairs],
-            rows: &rows[..pairs],
-            places: &places[..pairs],
-            features: &self.pair_features[..features],
-        }
+        self.aims.part(if repeats { BLOCKS } else { 1 })
     }
 
     /// Where the rows of a view stand among `[steps, blocks * slots]`, and who is there to remember.
@@ -347,21 +289,6 @@ impl EntityBatch {
     /// Agents that act in all states.
     pub fn agents(&self) -> usize {
         self.queries.len()
-    }
-}
-
-/// Adds these columns of a row, zeros included. What stands before them is left behind.
-fn add_part(
-    row: &mut Peekable<impl Iterator<Item = (usize, f32)>>,
-    columns: Range<usize>,
-    all: &mut Vec<f32>,
-) {
-    let first = all.len();
-    all.resize(first + columns.len(), 0.0);
-    while let Some((column, value)) = row.next_if(|(column, _)| *column < columns.end) {
-        if let Some(place) = column.checked_sub(columns.start) {
-            all[first + place] = value;
-        }
     }
 }
 

@@ -39,12 +39,14 @@
 
 mod acting;
 mod agent;
+mod aims;
 mod attention;
 mod batch;
 mod mixer;
 
 pub use acting::{Acting, Greedy, best, deployed};
-pub use agent::{AgentShape, EntityAgent, Targets};
+pub use agent::{AgentShape, EntityAgent};
+pub use aims::{AimView, AimedHead, Aims, Targets};
 pub use attention::{Attended, EntityAttention, LookShape};
 pub use batch::{EntityBatch, Moment, Teams, View};
 pub use mixer::{Hypernetworks, Mixed, Mixer, MixerKind, MixerShape, WeightsSum};

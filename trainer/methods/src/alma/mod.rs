@@ -88,7 +88,7 @@ fn is_windows(own: &Table) -> bool {
     own.get("learner").and_then(toml::Value::as_str) == Some("windows")
 }
 
-/// Runs that do not say whether embeddings skip the attention began when none did.
+/// Runs that do not say whether embeddings skip the attention, and whether heads point, began when none did.
 fn settle_older(run: &mut Table) {
     if is_windows(run) {
         return;
@@ -100,6 +100,9 @@ fn settle_older(run: &mut Table) {
         if let Some(section) = section {
             section.entry("skip").or_insert(false.into());
         }
+    }
+    if let Some(network) = run.get_mut("network").and_then(toml::Value::as_table_mut) {
+        network.entry("head").or_insert("numbered".into());
     }
 }
 

@@ -140,7 +140,7 @@ impl Players {
         let Self { batch, tape, actors, remembered, operations, .. } = self;
         let mut t = tape.begin(network.parameters);
         let layers = UtilityLayers::of(shape);
-        let mut base = layers.base(&mut t, batch.input());
+        let mut looked = layers.look(&mut t, batch.input());
         if coach.is_some() {
             let mut told = vec![0.0; actors.len() * shape.base];
             for (told, (scene, agent)) in told.chunks_exact_mut(shape.base).zip(&*actors) {
@@ -149,12 +149,12 @@ impl Players {
                 }
             }
             let told = t.input(shape.base, &told);
-            base = t.add(base, told);
+            looked.base = t.add(looked.base, told);
         }
         if let Some(unit) = unit {
-            base = t.gru(base, unit, &vec![true; actors.len()], remembered);
+            looked.base = t.gru(looked.base, unit, &vec![true; actors.len()], remembered);
         }
-        let utilities = layers.head(&mut t, base);
+        let utilities = layers.head(&mut t, looked, batch.input());
         *operations += t.operations(false);
         let rows = t.values(utilities).chunks_exact(shape.actions);
         for ((scene, agent), utilities) in actors.iter().zip(rows) {
@@ -172,7 +172,7 @@ impl Players {
     ) -> Result<(), LearnError> {
         let Self { batch, actors, .. } = self;
         let spec = scenes.first().map(|scene| scene.environment.spec());
-        batch.clear(spec.map_or_else(Columns::default, |spec| Columns::of(&spec.shape)));
+        batch.clear(spec.map_or_else(Columns::default, Columns::of));
         actors.clear();
         let tasks = scenes.iter().map(|scene| scene.seen.tasks()).max().unwrap_or(0);
         if batch.columns(tasks) > shape.input {

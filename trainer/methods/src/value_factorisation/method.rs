@@ -163,7 +163,7 @@ impl Gathering<'_> {
                 self.add_record(lesson, *drawn);
             }
         }
-        let targets = self.config.targets(self.environment.spec());
+        let targets = self.config.network.head.targets(self.environment.spec());
         for batch in [&mut lesson.before, &mut lesson.after] {
             batch.aim_at(targets.entities(), targets.pairs());
         }

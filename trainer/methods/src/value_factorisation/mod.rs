@@ -18,7 +18,7 @@ use sortie_learn::configuration::{
 };
 use sortie_learn::learner::Rule;
 use sortie_learn::networks::{
-    AgentShape, Hypernetworks, LookShape, MixerKind, MixerShape, Targets, WeightsSum,
+    AgentShape, AimedHead, Hypernetworks, LookShape, MixerKind, MixerShape, WeightsSum,
 };
 use sortie_learn::{sections, words};
 use sortie_nn::layers::split_attention::HEADS;
@@ -49,7 +49,7 @@ sections! {
         /// What values actions that are aimed at entities: a vector that points at their embeddings, or weights of each
         /// action's own, for which an entity is its number.
         #[serde(default)]
-        head: Head = Head::Pointing, OneOf(Head::WORDS);
+        head: AimedHead = AimedHead::Pointing, OneOf(AimedHead::WORDS);
     }
 
     /// How the utilities of a team become its value.
@@ -130,18 +130,6 @@ fn as_it_is() -> f32 {
 }
 
 words! {
-    /// What values actions that are aimed at entities.
-    #[derive(Default)]
-    Head {
-        /// The product of the agent's vector with the entity's embedding.
-        #[default]
-        Pointing = "pointing",
-        /// Weights of the action's own.
-        Numbered = "numbered",
-    }
-}
-
-words! {
     /// What is kept, and drawn for an update.
     #[derive(Default)]
     Unit {
@@ -162,7 +150,7 @@ impl Config {
                 active_inputs: 0,
                 skip: false,
                 memory: 0,
-                head: Head::Pointing,
+                head: AimedHead::Pointing,
             },
             mixer: MixerConfig {
                 kind: MixerKind::Linear,
@@ -217,19 +205,14 @@ impl Config {
 
     /// The networks for an environment.
     pub fn shape(&self, spec: &Spec) -> NetworkShape {
-        let NetworkConfig { width, active_inputs, skip, memory, .. } = self.network;
+        let NetworkConfig { width, active_inputs, skip, memory, head } = self.network;
         let MixerConfig { kind, hypernetworks, mixing, weights_sum } = self.mixer;
         let Shape { features: input, actions, .. } = spec.shape;
         let active_inputs = if active_inputs == 0 { input } else { active_inputs };
         let looking = LookShape { input, active_inputs, width, heads: HEADS };
         NetworkShape {
-            agent: AgentShape { looking, actions, skip, memory, targets: self.targets(spec) },
+            agent: AgentShape { looking, actions, skip, memory, targets: head.targets(spec) },
             mixer: MixerShape { kind, hypernetworks, weights_sum, looking, mixing },
         }
-    }
-
-    /// What the agents point at.
-    fn targets(&self, spec: &Spec) -> Targets {
-        if self.network.head == Head::Pointing { Targets::of(spec) } else { Targets::default() }
     }
 }

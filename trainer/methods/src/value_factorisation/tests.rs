@@ -16,7 +16,13 @@ fn shape(kind: MixerKind, skip: bool) -> NetworkShape {
     let looking = LookShape { input: COLUMNS, active_inputs: 3, width: 16, heads: 4 };
     let (hypernetworks, weights_sum) = (Hypernetworks::Shared, WeightsSum::One);
     NetworkShape {
-        agent: AgentShape { looking, actions: 4, skip, memory: 0, targets: Targets::default() },
+        agent: AgentShape {
+            looking,
+            actions: 4,
+            skip,
+            memory: 0,
+            targets: AimedHead::Numbered.targets(&Spec::default()),
+        },
         mixer: MixerShape { kind, hypernetworks, weights_sum, looking, mixing: 4 },
     }
 }

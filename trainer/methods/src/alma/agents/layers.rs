@@ -1,7 +1,7 @@
 //! The layers of agents on a tape: entities embedded and looked at, which coach and recognition begin with too, and the
 //! utility network behind them.
 
-use sortie_learn::networks::View;
+use sortie_learn::networks::{Aims, View};
 use sortie_nn::layers::attention::AttentionShape;
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::layers::{SparseRows, VisibleLists};
@@ -19,6 +19,8 @@ pub struct UtilityInput {
     pub rows: SparseRows,
     /// For each acting agent the rows that it sees, its own among them where it is visible.
     pub visible: VisibleLists,
+    /// What the actions of acting agents aim at.
+    pub aims: Aims,
 }
 
 impl UtilityInput {
@@ -26,6 +28,7 @@ impl UtilityInput {
     pub fn clear(&mut self) {
         self.rows.clear();
         self.visible.clear();
+        self.aims.clear();
     }
 
     /// The same as mixers look at it.
@@ -68,8 +71,8 @@ impl TrunkLayers {
         }
     }
 
-    /// What each acting agent attends to, and its own embedding, `[agents, E]` each.
-    pub(crate) fn attend(self, t: &mut Pass<'_>, input: &UtilityInput) -> [Var; 2] {
+    /// What each acting agent attends to, and its own embedding, `[agents, E]` each; and the embeddings of all rows.
+    pub(crate) fn attend(self, t: &mut Pass<'_>, input: &UtilityInput) -> [Var; 3] {
         let (visible, heads) = (&input.visible, self.shape.heads);
         let entities = t.sparse_linear_rectified(&input.rows, self.fc1);
         let own = t.rows(entities, 0..visible.queries());
@@ -80,7 +83,7 @@ impl TrunkLayers {
             let keys_values = t.linear(entities, self.keys_values);
             t.attention(queries, keys_values, visible, heads)
         };
-        [attended, own]
+        [attended, own, entities]
     }
 }
 
@@ -92,46 +95,59 @@ pub struct UtilityLayers {
     fc2: Linear,
     head: Linear,
     skip: Option<Linear>,
+    /// Makes the vector that points.
+    pub(super) pointing: Option<Linear>,
+}
+
+/// What a utility network has made of its input before the head.
+#[derive(Clone, Copy, Debug)]
+pub struct Looked {
+    /// What each agent attends to, `[agents, E]`.
+    pub(super) attended: Var,
+    /// The embeddings of all rows, `[rows, E]`.
+    entities: Var,
+    /// What stands before the head, `[agents, R]`: there memories and strategies come in.
+    pub base: Var,
 }
 
 impl UtilityLayers {
     /// Those of a network of this shape.
     pub fn of(shape: UtilityShape) -> Self {
         let places = &mut Places::default();
-        let UtilityShape { input, width, base, actions, skip, .. } = shape;
+        let UtilityShape { input, width, base, actions, skip, targets, .. } = shape;
         Self {
             trunk: TrunkLayers::of(input, shape.attention(), places),
             out: places.linear(width, width),
             fc2: places.linear(width, base),
-            head: places.linear(base, actions),
+            head: places.linear(base, actions - targets.count),
             skip: skip.then(|| places.projection(width, width)),
+            pointing: (targets.count > 0).then(|| places.linear(base, targets.reach(width))),
         }
     }
 
-    /// What stands before the head, `[agents, R]`: there memories and strategies come in.
-    pub fn base(self, t: &mut Pass<'_>, input: &UtilityInput) -> Var {
-        self.look(t, input)[1]
-    }
-
-    /// What each agent attends to, and what stands before the head.
-    pub(super) fn look(self, t: &mut Pass<'_>, input: &UtilityInput) -> [Var; 2] {
-        let [attended, own] = self.trunk.attend(t, input);
+    /// Everything before the head.
+    pub fn look(self, t: &mut Pass<'_>, input: &UtilityInput) -> Looked {
+        let [attended, own, entities] = self.trunk.attend(t, input);
         let looked = match self.skip {
             Some(skip) => t.linear_sum_rectified([attended, own], [self.out, skip]),
             None => t.linear_rectified(attended, self.out),
         };
-        [attended, t.linear_rectified(looked, self.fc2)]
+        Looked { attended, entities, base: t.linear_rectified(looked, self.fc2) }
     }
 
     /// The utilities `[agents, U]` of what stands before the head.
-    pub fn head(self, t: &mut Pass<'_>, base: Var) -> Var {
-        t.linear(base, self.head)
+    pub fn head(self, t: &mut Pass<'_>, looked: Looked, input: &UtilityInput) -> Var {
+        let untargeted = t.linear(looked.base, self.head);
+        let Some(pointing) = self.pointing else { return untargeted };
+        let vectors = t.linear(looked.base, pointing);
+        let aimed = input.aims.all().point(t, [vectors, looked.entities]);
+        t.concat(&[untargeted, aimed])
     }
 
     /// The utilities `[agents, U]` of agents without memories and strategies.
     pub fn utilities(self, t: &mut Pass<'_>, input: &UtilityInput) -> Var {
-        let base = self.base(t, input);
-        self.head(t, base)
+        let looked = self.look(t, input);
+        self.head(t, looked, input)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, NO_ACTION, Observation, Policy};
+use sortie_envs::EntitySet;
 use sortie_nn::tape::Tape;
 
 use super::layers::{UtilityInput, UtilityLayers};
@@ -43,13 +44,21 @@ impl<'a> NetworkPolicy<'a> {
         let own = observation.self_index;
         let others = observation.visible.iter().filter(|entity| *entity != own);
         self.input.clear();
+        let mut places = [0; EntitySet::BITS as usize];
+        let mut seen: EntitySet = 0;
         for (place, entity) in std::iter::once(own).chain(others).enumerate() {
             self.push_row(observation, entity)?;
             if place > 0 || observation.visible.contains(own) {
                 self.input.visible.push(place);
+                places[entity] = place;
+                seen |= 1 << entity;
             }
         }
-        self.input.visible.end_list();
+        let UtilityInput { rows, visible, aims } = &mut self.input;
+        visible.end_list();
+        let targets = self.network.shape.targets;
+        aims.aim_at(targets.entities(), targets.pairs());
+        aims.push((0, rows.row(0)), seen, |entity| places[entity]);
         Ok(())
     }
 
@@ -92,10 +101,10 @@ impl Policy for NetworkPolicy<'_> {
         let Self { network, tape, input, attention } = self;
         let layers = UtilityLayers::of(network.shape);
         let mut pass = tape.begin(network.parameters);
-        let [attended, base] = layers.look(&mut pass, input);
-        let computed = layers.head(&mut pass, base);
+        let looked = layers.look(&mut pass, input);
+        let computed = layers.head(&mut pass, looked, input);
         attention.clear();
-        attention.extend(pass.attention_weights(attended).unwrap_or_default());
+        attention.extend(pass.attention_weights(looked.attended).unwrap_or_default());
         let computed = pass.values(computed);
         if computed.len() != utilities.len() {
             return Err(DecideError::BadLength);

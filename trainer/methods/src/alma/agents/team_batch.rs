@@ -4,8 +4,8 @@
 //! section 7.3). Without the mask an agent sees everything.
 
 use sortie_envs::random::below;
-use sortie_envs::{AgentSet, EntitySet, Observation, Shape, SparseRows, UNASSIGNED, members};
-use sortie_learn::networks::Teams;
+use sortie_envs::{AgentSet, EntitySet, Observation, SparseRows, Spec, UNASSIGNED, members};
+use sortie_learn::networks::{Targets, Teams};
 use sortie_learn::subtasks::NO_ACTION;
 use sortie_learn::words;
 use sortie_nn::random::Generator;
@@ -48,17 +48,19 @@ impl Conditioning {
 }
 
 /// What the columns of a row are: an entity's features, its last action as one-hot, and where entities are marked with
-/// their subtask, the marks.
+/// their subtask, the marks; and what actions aim at.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
     features: usize,
     actions: usize,
+    targets: Targets,
 }
 
 impl Columns {
     /// Those of an environment.
-    pub fn of(shape: &Shape) -> Self {
-        Self { features: shape.features, actions: shape.actions }
+    pub fn of(spec: &Spec) -> Self {
+        let (features, actions) = (spec.shape.features, spec.shape.actions);
+        Self { features, actions, targets: Targets::of(spec) }
     }
 
     /// Their number without marks, and the first of the marks.
@@ -75,6 +77,8 @@ pub struct TeamBatch {
     input: UtilityInput,
     /// What the teams see besides themselves.
     others: SparseRows,
+    /// The entity of every row, agents' and others'.
+    entities: [Vec<u8>; 2],
     /// Agents in all teams, and rows in `others`, up to each team's end.
     ends: Vec<(u32, u32)>,
     /// The team of every agent that is in one.
@@ -103,8 +107,11 @@ impl TeamBatch {
     /// Forgets all teams, keeps the memory; rows have these columns from here on.
     pub fn clear(&mut self, columns: Columns) {
         self.columns = columns;
+        let targets = columns.targets;
         self.input.clear();
+        self.input.aims.aim_at(targets.entities(), targets.pairs());
         self.others.clear();
+        self.entities.iter_mut().for_each(Vec::clear);
         self.ends.clear();
     }
 
@@ -119,11 +126,13 @@ impl TeamBatch {
     ) {
         let team = EntitySet::from(team);
         for (row, entity) in members(seen.entities).enumerate() {
-            let rows = match (team >> entity & 1, sight >> entity & 1) {
-                (1, _) => &mut self.input.rows,
-                (_, 1) => &mut self.others,
+            let [agents, others] = &mut self.entities;
+            let (rows, entities) = match (team >> entity & 1, sight >> entity & 1) {
+                (1, _) => (&mut self.input.rows, agents),
+                (_, 1) => (&mut self.others, others),
                 _ => continue,
             };
+            entities.push(entity as u8);
             rows.push_row(&seen.rows, row);
             let is_agent = entity < seen.observable.len();
             let last_action = if is_agent { last_action(entity) } else { NO_ACTION };
@@ -196,7 +205,9 @@ impl TeamBatch {
     ///
     /// Agents after the last closed team have no subtask and see nothing.
     pub fn finish(&mut self) -> &UtilityInput {
-        let UtilityInput { rows, visible } = &mut self.input;
+        let UtilityInput { rows, visible, aims } = &mut self.input;
+        let [of_agents, of_others] = &self.entities;
+        let mut places = [0; EntitySet::BITS as usize];
         let agents = rows.len();
         rows.append(&self.others);
         let (mut agent, mut other) = (0, agents);
@@ -207,8 +218,17 @@ impl TeamBatch {
             self.numbers.extend(members.clone().map(|_| number as u32));
             self.sizes.push(members.len() as f32);
             let others = other..agents + *other_end as usize;
-            for _ in members.clone() {
+            let entities = of_agents[members.clone()]
+                .iter()
+                .chain(&of_others[other - agents..others.end - agents]);
+            let mut seen: EntitySet = 0;
+            for (entity, row) in entities.zip(members.clone().chain(others.clone())) {
+                places[usize::from(*entity)] = row;
+                seen |= 1 << entity;
+            }
+            for query in members.clone() {
                 visible.push_parts(members.clone().chain(others.clone()), std::iter::empty());
+                aims.push((query as u32, rows.row(query)), seen, |entity| places[entity]);
             }
             (agent, other) = (members.end, others.end);
         }
@@ -259,7 +279,11 @@ mod tests {
     use super::*;
 
     const FEATURES: usize = 3;
-    const COLUMNS: Columns = Columns { features: FEATURES, actions: 5 };
+    const COLUMNS: Columns = Columns {
+        features: FEATURES,
+        actions: 5,
+        targets: Targets { first: 0, count: 0, first_pair: 0, pair_features: 0 },
+    };
 
     /// Agents of four slots that exist, and two things, one for each subtask; row e is e + 1 in column 0.
     fn seen(agents: usize) -> Observation {

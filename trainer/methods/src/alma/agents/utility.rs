@@ -7,10 +7,13 @@
 //! embedding. The published network has no `W_s`: it sees its own row through attention only.
 
 use serde::{Deserialize, Serialize};
-use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix};
+use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix, PointingHead};
+use sortie_learn::networks::Targets;
 use sortie_nn::layers::attention::AttentionShape;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Parameters, Tensor};
+
+use super::layers::UtilityLayers;
 
 /// Sizes of a utility network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,6 +31,9 @@ pub struct UtilityShape {
     /// Whether the agent's own embedding skips the attention.
     #[serde(default)]
     pub skip: bool,
+    /// What the last actions aim at, where the head points at it.
+    #[serde(default)]
+    pub targets: Targets,
 }
 
 impl UtilityShape {
@@ -43,7 +49,8 @@ impl UtilityShape {
 
     /// The tensors, one behind the other. `fc1.weight` is `[input, width]`, all other matrices are `[out, in]`.
     pub fn tensors(self) -> Vec<Tensor> {
-        let Self { input, width, base, actions, skip, .. } = self;
+        let Self { input, width, base, actions, skip, targets, .. } = self;
+        let reach = targets.reach(width);
         let sizes = [
             ("fc1.weight", [input, width]),
             ("fc1.bias", [1, width]),
@@ -52,12 +59,19 @@ impl UtilityShape {
             ("attention.out.bias", [1, width]),
             ("fc2.weight", [base, width]),
             ("fc2.bias", [1, base]),
-            ("head.weight", [actions, base]),
-            ("head.bias", [1, actions]),
+            ("head.weight", [actions - targets.count, base]),
+            ("head.bias", [1, actions - targets.count]),
             ("skip.weight", [width, width]),
+            ("pointing.weight", [reach, base]),
+            ("pointing.bias", [1, reach]),
         ];
+        let has = |name: &str| match &name[..4] {
+            "skip" => skip,
+            "poin" => targets.count > 0,
+            _ => true,
+        };
         let mut end = 0;
-        let tensors = sizes.into_iter().take(if skip { 10 } else { 9 }).map(|(name, shape)| {
+        let tensors = sizes.into_iter().filter(|(name, _)| has(name)).map(|(name, shape)| {
             let start = end;
             end += shape[0] * shape[1];
             Tensor { name: name.to_owned(), shape: shape.to_vec(), range: start..end }
@@ -78,7 +92,7 @@ impl UtilityShape {
         for tensor in self.tensors() {
             let inputs = match &tensor.name[..3] {
                 "fc1" => active_inputs,
-                "hea" => self.base as f32,
+                "hea" | "poi" => self.base as f32,
                 _ => self.width as f32,
             };
             parameters.tensor(&tensor.name, &tensor.shape, 1.0 / inputs.sqrt(), random);
@@ -141,9 +155,14 @@ impl<'a> UtilityView<'a> {
             attention_out: layer(),
             fc2: Some(layer()),
             head: layer(),
-            skip: tensors.next().map(matrix),
-            pointing: None,
+            skip: self.shape.skip.then(|| matrix(tensors.next().unwrap_or(&[]))),
+            pointing: self.pointing(),
         }
+    }
+
+    fn pointing(self) -> Option<PointingHead<'a>> {
+        let layer = UtilityLayers::of(self.shape).pointing?;
+        Some(self.shape.targets.deployed(layer, self.parameters))
     }
 }
 
@@ -158,8 +177,15 @@ mod tests {
 
     use super::*;
 
-    const SHAPE: UtilityShape =
-        UtilityShape { input: 5, width: 4, heads: 2, base: 3, actions: 2, skip: false };
+    const SHAPE: UtilityShape = UtilityShape {
+        input: 5,
+        width: 4,
+        heads: 2,
+        base: 3,
+        actions: 2,
+        skip: false,
+        targets: Targets { first: 0, count: 0, first_pair: 0, pair_features: 0 },
+    };
     const SKIPPING: UtilityShape = UtilityShape { skip: true, ..SHAPE };
 
     fn drawn(shape: UtilityShape) -> UtilityNetwork {

@@ -90,7 +90,7 @@ impl CoachLayers {
 
 /// What each agent makes of all it looks at, `[agents, E]`.
 fn look(t: &mut Pass<'_>, trunk: TrunkLayers, out: Linear, input: &UtilityInput) -> Var {
-    let [attended, _] = trunk.attend(t, input);
+    let [attended, ..] = trunk.attend(t, input);
     t.linear_rectified(attended, out)
 }
 

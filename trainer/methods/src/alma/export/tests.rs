@@ -4,6 +4,8 @@ use sortie_learn::export::attention::ExportError;
 use sortie_learn::export::{TeamValueExport, team_value_onnx};
 use sortie_learn::random::{Purpose, generator};
 
+use sortie_learn::networks::Targets;
+
 use crate::alma::agents::{UtilityNetwork, UtilityShape};
 
 const FEATURES: usize = 6;
@@ -11,7 +13,8 @@ const RELATIONS: usize = 3;
 
 fn export(relations: usize) -> Result<Vec<u8>, ExportError> {
     let input = FEATURES + 2 + RELATIONS;
-    let shape = UtilityShape { input, width: 16, heads: 2, base: 8, actions: 1, skip: false };
+    let (skip, targets) = (false, Targets::default());
+    let shape = UtilityShape { input, width: 16, heads: 2, base: 8, actions: 1, skip, targets };
     let weights = generator(7, Purpose::Weights, 0);
     let network = UtilityNetwork::initialise(shape, 8.0, &mut { weights });
     let (features, contract) = (FEATURES, 0x0123_4567_89ab_cdef);

@@ -3,7 +3,7 @@
 use sortie_envs::Spec;
 use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Text, Truth, Whole};
 use sortie_learn::configuration::{OPTIMISER, SHARE, STEPS, exploration, require};
-use sortie_learn::networks::MixerKind;
+use sortie_learn::networks::{AimedHead, MixerKind, Targets};
 use sortie_learn::session::{EnvironmentChoice, Setup};
 use sortie_learn::{LearnError, section, sections};
 
@@ -59,6 +59,9 @@ sections! {
         active_inputs: f32 = 8.0, Positive(1e6), "columns";
         /// Whether the own row's embedding is added to what the attention gives, past it; not in the dissertation.
         skip: bool = true, Truth;
+        /// What values actions that are aimed at entities: a vector that points at their embeddings, or weights of each
+        /// action's own, for which an entity is its number.
+        head: AimedHead = AimedHead::Pointing, OneOf(AimedHead::WORDS);
     }
 
     /// How the utilities of a team become its value.
@@ -270,7 +273,8 @@ impl NetworkConfig {
     /// The network's shape for rows of so many columns, with so many outputs.
     pub fn shape(&self, input: usize, actions: usize) -> UtilityShape {
         let Self { width, heads, base, skip, .. } = *self;
-        UtilityShape { input, width, heads, base, actions, skip }
+        let targets = Targets::default();
+        UtilityShape { input, width, heads, base, actions, skip, targets }
     }
 }
 
@@ -283,7 +287,8 @@ impl AgentNetworkConfig {
     /// The network's shape in an environment.
     pub fn shape(&self, spec: &Spec) -> UtilityShape {
         let marks = self.subtask.task_columns(spec.shape.tasks);
-        self.sizes().shape(Columns::of(&spec.shape).unmarked() + marks, spec.shape.actions)
+        let shape = self.sizes().shape(Columns::of(spec).unmarked() + marks, spec.shape.actions);
+        UtilityShape { targets: self.head.targets(spec), ..shape }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Weights and masks of the reference's low level as ours.
 
+use sortie_learn::networks::Targets;
 use sortie_methods::alma::agents::{UtilityNetwork, UtilityShape, transpose};
 use sortie_methods::alma::windows::{NO_TASK, WindowShape, Windows};
 
@@ -60,6 +61,7 @@ pub(crate) fn agents(case: &Case, prefix: &str, heads: usize) -> UtilityNetwork 
         base: head[1],
         actions: head[0],
         skip: false,
+        targets: Targets::default(),
     };
     let embed: Vec<f32> = (0..fc1[0]).flat_map(row).copied().collect();
     let mut parameters = transpose(&embed, shape.width, shape.input);

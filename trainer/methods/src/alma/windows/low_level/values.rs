@@ -8,6 +8,7 @@
 
 use std::ops::Range;
 
+use sortie_learn::networks::Targets;
 use sortie_nn::tape::Tape;
 
 use super::agents::AgentLayers;
@@ -30,6 +31,7 @@ impl LowLevelConfig {
             base: self.base,
             actions: sizes.actions,
             skip: self.skip,
+            targets: Targets::default(),
         }
     }
 
