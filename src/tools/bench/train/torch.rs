@@ -9,7 +9,7 @@ use serde::Deserialize;
 use sortie_cli::failure::{Exit, Failure};
 use sortie_cli::output::tell;
 use sortie_envs::{EntitySet, Environment, Observation, members};
-use sortie_methods::learners::agents::{Columns, NO_ACTION, UtilityView, transpose};
+use sortie_methods::learners::agents::{NO_ACTION, UtilityView, transpose};
 use sortie_methods::learners::records::{Drawn, Experience, Moment};
 
 use super::learning::Learning;
@@ -148,7 +148,8 @@ impl Tensors {
         }
         let count = drawn.len();
         let name = |part: &str| format!("batch{number}.{part}");
-        let rows = [count, team + 1, Columns::of(experience.environment.spec()).unmarked()];
+        let shape = experience.environment.spec().shape;
+        let rows = [count, team + 1, shape.features + shape.actions];
         self.floats(name("rows"), &rows, &dense.rows);
         self.floats(name("next_rows"), &rows, &dense.next_rows);
         self.flags(name("present"), &[count, team], &dense.present);
@@ -227,13 +228,13 @@ impl<'a> Seen<'a> {
 
     /// The row of an entity, an agent's with its last action, or of none.
     fn row(&self, entity: Option<usize>) -> Vec<f32> {
-        let spec = self.environment.spec();
-        let mut row = vec![0.0; Columns::of(spec).unmarked()];
+        let shape = self.environment.spec().shape;
+        let mut row = vec![0.0; shape.features + shape.actions];
         let Some(entity) = entity else { return row };
-        self.seen.rows.write_dense(self.seen.row_of(entity), &mut row[..spec.shape.features]);
+        self.seen.rows.write_dense(self.seen.row_of(entity), &mut row[..shape.features]);
         let last_action = self.moment.last_actions.get(entity).copied().unwrap_or(NO_ACTION);
         if last_action != NO_ACTION {
-            row[spec.shape.features + usize::from(self.turned(last_action.into()))] = 1.0;
+            row[shape.features + usize::from(self.turned(last_action.into()))] = 1.0;
         }
         row
     }

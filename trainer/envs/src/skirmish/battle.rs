@@ -145,6 +145,12 @@ impl Battle {
         if is_ally { 0..self.allies } else { self.allies..self.count }
     }
 
+    /// The enemy that is nearest to a unit, alive or not.
+    pub(super) fn nearest_enemy(&self, unit: usize) -> usize {
+        let enemies = self.side(false).map(|enemy| (self.distance(unit, enemy), enemy));
+        enemies.min_by(|one, other| one.0.total_cmp(&other.0)).map_or(unit, |(_, enemy)| enemy)
+    }
+
     /// Those of a side that live: allies, enemies.
     pub(super) fn living(&self) -> [UnitSet; 2] {
         [true, false].map(|is_ally| {

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::armies::{ARMIES, Armies, Fate, is_armed};
-use super::battle::{Battle, CAPACITY, NOBODY, Order, UnitSet};
+use super::battle::{Battle, CAPACITY, Order, UnitSet};
 use super::units::{Book, Team};
 use crate::observation::members;
 use crate::random::{Random, below, shuffle};
@@ -31,8 +31,8 @@ pub(super) enum Outcome {
 pub(super) struct Gains {
     /// What enemies lost, army by army; without armies all of it is the first one's.
     pub(super) armies: [f64; ARMIES],
-    /// What allies lost.
-    pub(super) own: f64,
+    /// What allies lost, army by army: to that of the enemy who was nearest at last.
+    pub(super) own: [f64; ARMIES],
     /// The armies whose fate is new.
     pub(super) changed: u32,
 }
@@ -114,11 +114,12 @@ impl Encounter {
             let now = &battle.units[unit];
             let lost =
                 f64::from(body - now.life - now.shield) + if now.is_alive() { 0.0 } else { DEATH };
-            match now.army {
-                _ if unit < battle.allies => gains.own += lost,
-                NOBODY => gains.armies[0] += lost,
-                army => gains.armies[usize::from(army)] += lost,
-            }
+            let is_ally = unit < battle.allies;
+            let enemy = if is_ally { battle.nearest_enemy(unit) } else { unit };
+            // Without armies all of it is the first one's.
+            let army = usize::from(battle.units[enemy].army);
+            let list = if is_ally { &mut gains.own } else { &mut gains.armies };
+            list[if army < ARMIES { army } else { 0 }] += lost;
         }
         gains.changed = self.armies.settle((battle, book));
         self.outcome = self.judge();

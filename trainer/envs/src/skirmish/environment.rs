@@ -238,7 +238,8 @@ impl Environment for Skirmish {
         // As published: in the open what shields regain is paid for as well.
         let felled = if self.scenario.is_defence { felled } else { felled.abs() };
         let victory = if encounter.outcome == Outcome::Won { VICTORY } else { 0.0 };
-        let reward = (felled + victory - self.own_losses * gains.own) / self.scale;
+        let own = |lost: f64| self.own_losses * lost;
+        let reward = (felled + victory - own(gains.own.iter().sum())) / self.scale;
         encounter.episode_return += reward;
         if self.scenario.is_defence {
             let rewards = &mut self.task_rewards[ARMIES * instance..][..ARMIES];
@@ -246,7 +247,7 @@ impl Environment for Skirmish {
                 let is_defeated = gains.changed >> army & 1 == 1
                     && encounter.armies.list[army].fate == Fate::Defeated;
                 let victory = if is_defeated { VICTORY } else { 0.0 };
-                *earned = (gains.armies[army] + victory) / self.scale;
+                *earned = (gains.armies[army] + victory - own(gains.own[army])) / self.scale;
             }
         }
         let terminated = encounter.outcome != Outcome::Open;

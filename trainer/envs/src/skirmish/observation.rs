@@ -77,11 +77,9 @@ impl Layout {
         }
     }
 
-    /// Features of each slot in an agent's own row. Around a base an agent's own row must not tell of armies that it is not
-    /// allocated to, which it would hide from nobody.
+    /// Features of each slot in an agent's own row.
     pub(super) fn slot_features(&self) -> usize {
         match self.aim {
-            Aim::Entities if self.is_defence => 0,
             Aim::Entities => PAIR,
             Aim::Distance => PAIR + LISTED,
             Aim::Tags => 0,

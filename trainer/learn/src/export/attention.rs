@@ -83,6 +83,8 @@ pub struct PointingHead<'a> {
     pub query: Layer<'a>,
     /// What is known of pairs, if anything.
     pub pairs: Option<PairHead<'a>>,
+    /// What both products are multiplied by.
+    pub scale: f32,
 }
 
 /// What the features of a pair count for.
@@ -208,20 +210,21 @@ fn add_pointing(
     inputs: Inputs<'_>,
     [embedding, base]: [&str; 2],
 ) -> Result<String, ExportError> {
-    let PointingHead { first_entity, count, query, pairs } = head;
+    let PointingHead { first_entity, count, query, pairs, scale } = head;
     let targets: Vec<i64> = (*first_entity..first_entity + count).map(|row| row as i64).collect();
     let targets = graph.integers("pointing.targets", &targets);
     let nothing = graph.floats("pointing.nothing", &[], &[0.0]);
     let untargeted = [network.base, network.outputs - count];
     let untargeted = layer(graph, "head", base, &network.head, untargeted)?;
-    let query = layer(graph, "pointing.query", base, query, [network.base, network.width])?;
+    let sizes = [network.base, network.width];
+    let query = layer_with(graph, ("pointing.query", query, *scale), base, sizes, None)?;
     let rows = graph.node("pointing.rows", "Gather", &[embedding, targets], &[axis(0)]);
     let turned = Attribute::Ints("perm", &[1, 0]);
     let rows = graph.node("pointing.columns", "Transpose", &[&rows], &[turned]);
     let mut scores = graph.node("pointing.scores", "MatMul", &[&query, &rows], &[]);
     if let Some(pairs) = pairs {
-        let weights =
-            layer(graph, "pairs.weights", base, &pairs.weights, [network.base, pairs.features])?;
+        let (weights, sizes) = (&pairs.weights, [network.base, pairs.features]);
+        let weights = layer_with(graph, ("pairs.weights", weights, *scale), base, sizes, None)?;
         let pairs = add_pairs(graph, [inputs.rows, inputs.own], pairs, *count);
         let known = graph.node("pairs.scores", "MatMul", &[&weights, &pairs], &[]);
         scores = graph.node("pointing.related", "Add", &[&scores, &known], &[]);
@@ -306,7 +309,8 @@ fn attention(
         None => None,
     };
     let sizes = [width, width];
-    layer_with(graph, "attention.out", &joined, &network.attention_out, sizes, skip.as_deref())
+    let out = ("attention.out", &network.attention_out, 1.0);
+    layer_with(graph, out, &joined, sizes, skip.as_deref())
 }
 
 /// `input W + b`.
@@ -317,23 +321,23 @@ pub fn layer(
     layer: &Layer<'_>,
     sizes: [usize; 2],
 ) -> Result<String, ExportError> {
-    layer_with(graph, name, input, layer, sizes, None)
+    layer_with(graph, (name, layer, 1.0), input, sizes, None)
 }
 
-/// `input W + added + b`.
+/// `input W + added + b`, with weights and offsets that are so many times as large.
 fn layer_with(
     graph: &mut Graph,
-    name: &'static str,
+    (name, layer, factor): (&'static str, &Layer<'_>, f32),
     input: &str,
-    layer: &Layer<'_>,
     [inputs, outputs]: [usize; 2],
     added: Option<&str>,
 ) -> Result<String, ExportError> {
     check(name, layer.bias, outputs)?;
     let (weight, bias) = (format!("{name}.weight"), format!("{name}.bias"));
     let values = inputs_first(name, &layer.weight, [inputs, outputs])?;
-    graph.floats(&weight, &[inputs, outputs], &values);
-    graph.floats(&bias, &[outputs], layer.bias);
+    let scaled = |values: &[f32]| values.iter().map(|value| factor * value).collect::<Vec<_>>();
+    graph.floats(&weight, &[inputs, outputs], &scaled(&values));
+    graph.floats(&bias, &[outputs], &scaled(layer.bias));
     let mut sum = graph.node(&format!("{name}.product"), "MatMul", &[input, &weight], &[]);
     if let Some(added) = added {
         sum = graph.node(&format!("{name}.sum"), "Add", &[&sum, added], &[]);

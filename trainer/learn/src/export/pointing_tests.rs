@@ -20,7 +20,7 @@ fn pointing(
         let weights = tensors.layer(base, features);
         PairHead { first, features, weights }
     });
-    network.pointing = Some(PointingHead { first_entity, count, query, pairs });
+    network.pointing = Some(PointingHead { first_entity, count, query, pairs, scale: 1.0 });
     network
 }
 

@@ -63,6 +63,7 @@ impl Targets {
             count,
             query: Layer::outputs_first(weights.0, biases.0),
             pairs: (pair_features > 0).then_some(pairs),
+            scale: scale(width),
         }
     }
 }
@@ -183,22 +184,31 @@ impl Aims {
 }
 
 impl AimView<'_> {
-    /// The utilities `[queries, targets]` of aimed actions: products of vectors with embeddings `[rows, width]` and, behind
-    /// them, what is known of each pair; 0 where a query does not see its target.
+    /// The utilities `[queries, targets]` of aimed actions: scaled products of vectors with embeddings `[rows, width]` and,
+    /// behind them, what is known of each pair; 0 where a query does not see its target.
     pub fn point(self, pass: &mut Pass<'_>, [vectors, embeddings]: [Var; 2]) -> Var {
         let queries = pass.size(vectors)[0];
         let vectors = pass.gather(vectors, self.queries);
         let mut targets = pass.gather(embeddings, self.rows);
-        let features = pass.size(vectors)[1] - pass.size(targets)[1];
+        let width = pass.size(targets)[1];
+        let features = pass.size(vectors)[1] - width;
         if features > 0 {
             let pairs = pass.input(features, self.features);
             targets = pass.concat(&[targets, pairs]);
         }
         let products = pass.multiply(vectors, targets);
         let products = pass.sum_columns(products);
+        let products = pass.scale(products, scale(width));
         let all = pass.scatter(products, self.places, queries * self.targets);
         pass.reshape(all, self.targets)
     }
+}
+
+/// What products of so many columns are multiplied by, as both factors are learned: without it the first weights' utilities
+/// drown what is earned, and a step of the optimiser moves them too far. About `1/sqrt(width)`, and a power of two, so that it
+/// is part of deployed weights to the bit.
+fn scale(width: usize) -> f32 {
+    0.5_f32.powi(width.ilog2() as i32 / 2)
 }
 
 /// Adds these columns of a row, zeros included. What stands before them is left behind.

@@ -255,12 +255,10 @@ fn features_of_pairs_add_to_what_targets_are_worth() {
             let mut row = [0.0; 9];
             seen.rows.write_dense(seen.row_of(agent), &mut row);
             let observed = seen.observable[agent] & seen.present;
-            let worth = row[1..]
-                .as_chunks()
-                .0
-                .iter()
-                .zip(TARGETS.entities())
-                .map(|([a, b], it)| if observed >> it & 1 == 1 { a + 10.0 * b } else { 0.0 });
+            let worth =
+                row[1..].as_chunks().0.iter().zip(TARGETS.entities()).map(|([a, b], it)| {
+                    if observed >> it & 1 == 1 { (a + 10.0 * b) / 4.0 } else { 0.0 }
+                });
             want.extend([0.0; 2].into_iter().chain(worth));
         }
     }

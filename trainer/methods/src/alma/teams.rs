@@ -172,7 +172,8 @@ impl Players {
     ) -> Result<(), LearnError> {
         let Self { batch, actors, .. } = self;
         let spec = scenes.first().map(|scene| scene.environment.spec());
-        batch.clear(spec.map_or_else(Columns::default, Columns::of));
+        let columns = spec.map(|spec| Columns::of(&spec.shape, shape.targets));
+        batch.clear(columns.unwrap_or_default());
         actors.clear();
         let tasks = scenes.iter().map(|scene| scene.seen.tasks()).max().unwrap_or(0);
         if batch.columns(tasks) > shape.input {

@@ -237,3 +237,22 @@ fn own_losses_lower_what_is_learned_from_alone() {
     let lost = (2.0 * 160.0 + 3.0 * 150.0 + 50.0) / ((50.0 + 200.0 + 770.0) / 20.0);
     assert!((returned(1.0, Split::Train) + lost).abs() < 1.0, "{}", returned(1.0, Split::Train));
 }
+
+/// Around a base the armies that allies are lost to are told apart, and all that is lost is lost to one of them.
+#[test]
+fn own_losses_are_those_of_armies() {
+    let settings = [("own_losses".to_string(), Setting::Number(1.0))];
+    let name = "skirmish/4s-disadvantage";
+    let mut skirmish = open(name, Split::Train, 1, &settings.into()).unwrap();
+    let (mut random, mut worst) = (generator(3), [0.0_f64; 3]);
+    for _ in 0..20 {
+        skirmish.reset(0, &mut random);
+        while !skirmish.episode(0).done {
+            let step = skirmish.step(0, &[0; 4], &mut random).unwrap();
+            let rewards = skirmish.task_rewards(0);
+            assert!((rewards.iter().sum::<f64>() - step.reward).abs() < 1e-9);
+            worst.iter_mut().zip(rewards).for_each(|(worst, it)| *worst = worst.min(*it));
+        }
+    }
+    assert!(worst.iter().all(|worst| *worst < 0.0), "{worst:?}");
+}

@@ -4,7 +4,7 @@
 //! section 7.3). Without the mask an agent sees everything.
 
 use sortie_envs::random::below;
-use sortie_envs::{AgentSet, EntitySet, Observation, SparseRows, Spec, UNASSIGNED, members};
+use sortie_envs::{AgentSet, EntitySet, Observation, Shape, SparseRows, UNASSIGNED, members};
 use sortie_learn::networks::{Targets, Teams};
 use sortie_learn::subtasks::NO_ACTION;
 use sortie_learn::words;
@@ -57,10 +57,9 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// Those of an environment.
-    pub fn of(spec: &Spec) -> Self {
-        let (features, actions) = (spec.shape.features, spec.shape.actions);
-        Self { features, actions, targets: Targets::of(spec) }
+    /// Those of an environment, for a head that points at these.
+    pub fn of(shape: &Shape, targets: Targets) -> Self {
+        Self { features: shape.features, actions: shape.actions, targets }
     }
 
     /// Their number without marks, and the first of the marks.
@@ -77,6 +76,8 @@ pub struct TeamBatch {
     input: UtilityInput,
     /// What the teams see besides themselves.
     others: SparseRows,
+    /// How agents stand to what they may aim at, a row each.
+    related: SparseRows,
     /// The entity of every row, agents' and others'.
     entities: [Vec<u8>; 2],
     /// Agents in all teams, and rows in `others`, up to each team's end.
@@ -111,12 +112,15 @@ impl TeamBatch {
         self.input.clear();
         self.input.aims.aim_at(targets.entities(), targets.pairs());
         self.others.clear();
+        self.related.clear();
         self.entities.iter_mut().for_each(Vec::clear);
         self.ends.clear();
     }
 
     /// Adds a team, whose agents see each other and the entities in sight, of all of whom `seen` has rows. The last action of
     /// each agent, and the subtask of each entity, are told by their numbers.
+    ///
+    /// How an agent stands to what it may aim at is left out of its row, which would tell of what it does not see.
     pub fn push_team(
         &mut self,
         seen: &Observation,
@@ -125,6 +129,7 @@ impl TeamBatch {
         task: impl Fn(usize) -> u8,
     ) {
         let team = EntitySet::from(team);
+        let pairs = self.columns.targets.pairs();
         for (row, entity) in members(seen.entities).enumerate() {
             let [agents, others] = &mut self.entities;
             let (rows, entities) = match (team >> entity & 1, sight >> entity & 1) {
@@ -133,8 +138,18 @@ impl TeamBatch {
                 _ => continue,
             };
             entities.push(entity as u8);
-            rows.push_row(&seen.rows, row);
             let is_agent = entity < seen.observable.len();
+            if is_agent && !pairs.is_empty() {
+                let is_pair = |(column, _): &(usize, f32)| pairs.contains(column);
+                let own = seen.rows.row(row);
+                own.clone().filter(|it| !is_pair(it)).for_each(|(c, value)| rows.push(c, value));
+                if team >> entity & 1 == 1 {
+                    own.filter(is_pair).for_each(|(c, value)| self.related.push(c, value));
+                    self.related.end_row();
+                }
+            } else {
+                rows.push_row(&seen.rows, row);
+            }
             let last_action = if is_agent { last_action(entity) } else { NO_ACTION };
             if last_action != NO_ACTION {
                 rows.push(self.columns.features + usize::from(last_action), 1.0);
@@ -228,7 +243,9 @@ impl TeamBatch {
             }
             for query in members.clone() {
                 visible.push_parts(members.clone().chain(others.clone()), std::iter::empty());
-                aims.push((query as u32, rows.row(query)), seen, |entity| places[entity]);
+                let related =
+                    if self.related.is_empty() { rows.row(query) } else { self.related.row(query) };
+                aims.push((query as u32, related), seen, |entity| places[entity]);
             }
             (agent, other) = (members.end, others.end);
         }

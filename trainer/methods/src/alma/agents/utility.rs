@@ -6,6 +6,8 @@
 //! With a skip, `looked = relu(W_o o + b_o + W_s x)`, with `o` what the agent attends to and `x` its own
 //! embedding. The published network has no `W_s`: it sees its own row through attention only.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix, PointingHead};
 use sortie_learn::networks::Targets;
@@ -89,6 +91,7 @@ impl UtilityShape {
     /// For `fc1` the inputs count as `active_inputs`: its rows are one-hot codes with few non-zeros,
     /// so that the full width would make the first activations too small.
     pub fn draw(self, parameters: &mut Parameters, active_inputs: f32, random: &mut Generator) {
+        let first = parameters.values.len();
         for tensor in self.tensors() {
             let inputs = match &tensor.name[..3] {
                 "fc1" => active_inputs,
@@ -97,6 +100,9 @@ impl UtilityShape {
             };
             parameters.tensor(&tensor.name, &tensor.shape, 1.0 / inputs.sqrt(), random);
         }
+        // What is told of pairs is for the head that points; rows that are learned from are without it.
+        let Range { start, end } = self.targets.pairs();
+        parameters.values[first + start * self.width..first + end * self.width].fill(0.0);
     }
 }
 

@@ -287,8 +287,9 @@ impl AgentNetworkConfig {
     /// The network's shape in an environment.
     pub fn shape(&self, spec: &Spec) -> UtilityShape {
         let marks = self.subtask.task_columns(spec.shape.tasks);
-        let shape = self.sizes().shape(Columns::of(spec).unmarked() + marks, spec.shape.actions);
-        UtilityShape { targets: self.head.targets(spec), ..shape }
+        let targets = self.head.targets(spec);
+        let columns = Columns::of(&spec.shape, targets).unmarked() + marks;
+        UtilityShape { targets, ..self.sizes().shape(columns, spec.shape.actions) }
     }
 }
 

@@ -153,7 +153,7 @@ impl Lesson {
     /// Rebuilds what the teams of samples saw, turned as they were drawn.
     fn gather(&mut self, networks: &Networks, experience: Experience<'_>, drawn: &[Drawn]) {
         let Experience { environment, replay } = experience;
-        let columns = Columns::of(environment.spec());
+        let columns = Columns::of(&environment.spec().shape, networks.shape.targets);
         self.now.clear(networks.conditioning, columns);
         self.next.clear(networks.conditioning, columns);
         self.available.clear();
