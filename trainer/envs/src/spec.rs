@@ -141,6 +141,8 @@ pub struct Spec {
     pub signs: Vec<Sign>,
     /// Who earns rewards besides the team.
     pub rewards: Rewards,
+    /// About what an episode returns that is solved, by which learners may scale rewards; 0: not known.
+    pub solved_return: f32,
     /// What can be [done to things](crate::Environment::disturb), in words; nothing where nothing can.
     pub disturbance: &'static str,
     /// Symmetries of the rules, the one that changes nothing included.
@@ -178,6 +180,7 @@ impl Default for Spec {
             milestones: Vec::new(),
             signs: Vec::new(),
             rewards: Rewards::default(),
+            solved_return: 0.0,
             disturbance: "",
             turns: 1,
             rules: &[],

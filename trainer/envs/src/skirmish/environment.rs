@@ -193,6 +193,7 @@ fn spec(scenario: &Scenario, layout: &Layout) -> Spec {
         metrics: if scenario.is_defence { METRICS } else { &METRICS[..2] },
         causes: if scenario.is_defence { CAUSES } else { &["killed", "time"] },
         rewards: Rewards { tasks: scenario.is_defence, agents: false },
+        solved_return: 20.0,
         turns: 8,
         rules: if scenario.is_defence { RULES } else { &[] },
         state_bytes: state_bytes(units),

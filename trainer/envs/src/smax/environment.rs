@@ -93,6 +93,7 @@ fn spec(rules: &Rules, roster: &Roster) -> Spec {
         safe_action: Some(STOP.into()),
         metrics: METRICS,
         state_bytes: state_bytes(units),
+        solved_return: 2.0,
         episode_limit: rules.max_steps + 1,
         ..Spec::default()
     };

@@ -187,18 +187,18 @@ impl Config {
 
     /// The preset `fast` where actions are aimed at entities, as in battles.
     ///
-    /// Fights are long and shots earn a hundredth: without `scale` the first weights' values drown what is earned, and a
-    /// discount as in Group Matching makes a team that hits early and loses.
+    /// Fights are long: a discount as in Group Matching makes a team that hits early and loses.
     pub fn aimed() -> Self {
         let mut aimed = Self::default();
         let Self { network, mixer, returns, replay, exploration, optimiser, .. } = &mut aimed;
-        (network.width, network.active_inputs) = (64, 8);
+        // Half the width learns to advance, and hardly whom to shoot at together.
+        (network.width, network.active_inputs) = (128, 0);
         mixer.weights_sum = WeightsSum::Agents;
-        (returns.discount, returns.scale) = (0.98, 10.0);
+        (returns.steps, returns.discount) = (1, 0.97);
         replay.batch = 128;
-        exploration.steps = 10_000;
+        exploration.steps = 30_000;
         (optimiser.learning_rate, optimiser.learning_rate_end) = (1e-3, 5e-5);
-        (optimiser.decay_from, optimiser.target_rate) = (0.4, 0.02);
+        (optimiser.decay_from, optimiser.target_rate) = (0.4, 0.01);
         optimiser.average_rate = 0.002;
         aimed
     }

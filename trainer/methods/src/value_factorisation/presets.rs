@@ -9,6 +9,9 @@ use sortie_nn::layers::split_attention::WIDTHS;
 
 use super::{Config, KEYS, Partitions, ReplayConfig, Unit, ValueFactorisation};
 
+/// What a solved episode returns by rewards as `fast` scales them where actions are aimed.
+const SOLVED: f32 = 20.0;
+
 /// A-QMIX: agents that look at entities, under a mixer that does.
 pub const QMIX: MethodEntry = MethodEntry {
     name: "qmix",
@@ -87,6 +90,10 @@ fn suit(preset: &str, setup: &mut Setup, spec: &Spec) {
     }
     let mut config = Config { imagination, ..Config::aimed() };
     config.mixer.kind = mixer.kind;
+    // First values are some tenths; what is earned must not be small against them.
+    if spec.solved_return > 0.0 {
+        config.returns.scale = SOLVED / spec.solved_return;
+    }
     let run = RunConfig { steps: 850_000, evaluate_every: 50_000, ..setup.run.clone() };
     let Setup { method, environment, .. } = setup.clone();
     *setup = Setup { method, environment, ..Setup::of(0, run, &config) };
@@ -167,7 +174,7 @@ mod tests {
             let plain = entry.preset("fast").unwrap();
             assert_eq!((own.clone(), usual.run), (unlike(&plain), plain.run));
             assert_eq!((aimed.mixer.kind, &aimed.imagination), (own.mixer.kind, &own.imagination));
-            assert_eq!((aimed.network.width, aimed.returns.scale), (64, 10.0));
+            assert_eq!((aimed.network.width, aimed.returns.scale), (128, 10.0));
             assert_eq!(aimed.mixer.weights_sum, WeightsSum::Agents);
             assert_eq!((battles.run.steps, battles.environment.instances), (850_000, 16));
             let paper = suited(entry, "paper", "smax/2s3z");
