@@ -26,6 +26,7 @@
 
 extern crate alloc;
 
+mod battles;
 mod bytes;
 pub mod conformance;
 pub mod crafting;

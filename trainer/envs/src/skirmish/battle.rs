@@ -5,14 +5,11 @@ use core::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::units::Book;
+pub(super) use crate::battles::{CAPACITY, Point, length};
 
-/// A place or a way, east and north.
-pub(super) type Point = [f32; 2];
 /// Units as bits.
 pub(super) type UnitSet = u64;
 
-/// Most units of both teams.
-pub(super) const CAPACITY: usize = 64;
 pub(super) const NOBODY: u8 = u8::MAX;
 
 /// What a unit was told to do; it holds until it is told something else.
@@ -185,11 +182,6 @@ impl Scene<'_> {
     pub(super) fn everybody(&self) -> UnitSet {
         self.living[0] | self.living[1]
     }
-}
-
-#[inline]
-pub(super) fn length([x, y]: Point) -> f32 {
-    libm::sqrtf(x * x + y * y)
 }
 
 /// The members of a set, lowest first.

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::armies::{ARMIES, Armies, Fate, is_armed};
 use super::battle::{Battle, CAPACITY, Order, UnitSet};
-use super::units::{Book, Team};
+use super::units::Book;
+use crate::battles::Team;
 use crate::observation::members;
 use crate::random::{Random, below, shuffle};
 

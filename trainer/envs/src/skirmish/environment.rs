@@ -15,7 +15,7 @@ use super::encounter::{Encounter, Outcome, VICTORY};
 use super::observation::{Aim, Layout, ORDERS, turned_action};
 use super::picture::picture;
 use super::rules::{RULES, allocate, scripted};
-use super::scenarios::{SETS, Scenario, meeting_name};
+use super::scenarios::{SETS, Scenario, in_order, name_of};
 use super::units::{Book, Rules};
 use crate::bytes::known;
 use crate::entry::{Choice, Entry, EnvironmentError};
@@ -267,12 +267,12 @@ impl Environment for Skirmish {
 
     fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {
         let encounter = self.read(state)?;
-        let teams = encounter.teams();
+        let teams = in_order(encounter.teams());
         let has_armies = encounter.armies.count > 0;
-        let is_known = has_armies == self.scenario.is_defence
-            && self.scenario.teams.iter().any(|known| same(known, &teams));
+        let is_known =
+            has_armies == self.scenario.is_defence && self.scenario.teams.contains(&teams);
         if !is_known || encounter.steps > self.scenario.limit {
-            let reason = format!("`{}` after {} steps", meeting_name(teams), encounter.steps);
+            let reason = format!("`{}` after {} steps", name_of(teams), encounter.steps);
             return Err(StateError::Impossible(reason));
         }
         self.encounters[instance] = encounter;
@@ -317,7 +317,7 @@ impl Environment for Skirmish {
             solved: *outcome == Outcome::Won,
             timed_out,
             episode_return: *episode_return,
-            group: meeting_name(encounter.teams()),
+            group: name_of(encounter.teams()),
             metrics: metrics[..self.spec.metrics.len()].iter().copied().map(Some).collect(),
             cause: match outcome {
                 Outcome::Killed => Some("killed"),
@@ -356,13 +356,4 @@ impl Environment for Skirmish {
         scripted((encounter, &self.layout, &self.book), allocation, actions);
         true
     }
-}
-
-/// Whether two teams each are the same, in whatever order.
-fn same(known: &[Vec<u8>; 2], teams: &[Vec<u8>; 2]) -> bool {
-    known.iter().zip(teams).all(|(known, team)| {
-        let mut team = team.clone();
-        team.sort_unstable();
-        *known == team
-    })
 }

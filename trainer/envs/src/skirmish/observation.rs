@@ -11,12 +11,12 @@ use super::battle::{Battle, CAPACITY, NOBODY, Order, Point, Unit, length};
 use super::encounter::Encounter;
 use super::scenarios::Scenario;
 use super::units::{Book, FULL_ENERGY, MEDIVAC, TYPE_NAMES, TYPES, UnitType};
+use crate::battles::WAYS;
 use crate::observation::{ActionSet, EntitySet, Observation, members};
 use crate::rows::SparseRows;
 
 /// What agents may do besides aiming at somebody: to stop, and to go north, east, south and west.
 pub(super) const ORDERS: usize = 1 + WAYS.len();
-const WAYS: [Point; 4] = [[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]];
 /// How far an order to go sends a unit, of which it comes about half in a step.
 const STRIDE: f32 = 2.0;
 /// How far from centre to centre anybody can be aimed at, whatever its weapon.
@@ -411,14 +411,6 @@ pub(super) fn shares(unit: &Unit, nature: &UnitType) -> [f32; 3] {
 fn turned(turn: usize, [x, y]: Point) -> Point {
     let (x, y) = (if turn & 1 == 1 { -x } else { x }, if turn & 2 == 2 { -y } else { y });
     if turn & 4 == 4 { [y, x] } else { [x, y] }
-}
-
-/// The action that goes that way best, the first of several.
-pub(super) fn toward([x, y]: Point) -> usize {
-    let gains = [y, x, -y, -x];
-    let best =
-        (1..gains.len()).fold(0, |best, way| if gains[way] > gains[best] { way } else { best });
-    1 + best
 }
 
 /// The number that an action has under a symmetry.

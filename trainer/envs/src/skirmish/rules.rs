@@ -3,8 +3,9 @@
 use super::armies::ARMIES;
 use super::battle::{CAPACITY, each};
 use super::encounter::Encounter;
-use super::observation::{Layout, toward};
+use super::observation::Layout;
 use super::units::{Book, MEDIVAC, TYPES};
+use crate::battles::heading;
 use crate::decisions::UNASSIGNED;
 use crate::random::{Random, generator, member, shuffle};
 use crate::spec::Rule;
@@ -93,7 +94,7 @@ pub(super) fn scripted(
         let nearest = each(others).min_by(|one, other| {
             battle.distance(agent, *one).total_cmp(&battle.distance(agent, *other))
         });
-        let walk = nearest.map(|other| toward(battle.way(agent, other)));
+        let walk = nearest.map(|other| 1 + heading(battle.way(agent, other)));
         let wish = aim.or(walk).filter(|action| available >> action & 1 == 1);
         *action = wish.unwrap_or(0) as u16;
     }

@@ -9,9 +9,8 @@ use core::f32::consts::TAU;
 use super::armies::{ARMIES, Armies, is_armed};
 use super::battle::{Battle, CAPACITY, Point, length};
 use super::encounter::{DEATH, Encounter, VICTORY};
-use super::units::{
-    Book, COLOSSUS, MARAUDER, MARINE, MEDIVAC, STALKER, TYPES, Team, UnitType, ZEALOT,
-};
+use super::units::{Book, COLOSSUS, MARAUDER, MARINE, MEDIVAC, STALKER, TYPES, UnitType, ZEALOT};
+use crate::battles::{Team, meeting, meeting_name};
 use crate::random::{Random, below, generator, unit};
 
 /// Letters of types in names of teams; the fourth is what a medivac is called besides, a dropship.
@@ -44,7 +43,7 @@ impl Scenario {
         // Published under this name are teams of three to eight.
         let teams = match teams.strip_prefix("6-8").filter(|_| has_more.is_some()) {
             Some(family) => tasks(&format!("3-8{family}")),
-            None => tasks(teams).or_else(|| Some(vec![meeting(teams)?])),
+            None => tasks(teams).or_else(|| Some(vec![in_order(meeting(teams, &LETTERS)?)])),
         };
         let mut teams = teams?;
         if has_more == Some(true) {
@@ -229,29 +228,15 @@ fn add_enemies(teams: &mut [[Team; 2]], random: &mut Random) {
     }
 }
 
-/// The teams that a name such as `2s3z` or `5m_vs_6m` stands for.
-fn meeting(name: &str) -> Option<[Team; 2]> {
-    let (allies, enemies) = name.split_once("_vs_").unwrap_or((name, name));
-    Some([team(allies)?, team(enemies)?])
+/// What two teams are called, whatever order their units are in.
+pub(super) fn name_of(teams: [Team; 2]) -> String {
+    meeting_name(&in_order(teams), &LETTERS)
 }
 
-fn team(name: &str) -> Option<Team> {
-    let mut team = Team::new();
-    for run in name.split_inclusive(|sign: char| !sign.is_ascii_digit()) {
-        let kind = LETTERS.iter().position(|letter| run.ends_with(*letter))?;
-        let count: usize = run[..run.len() - 1].parse().ok().filter(|count| *count <= CAPACITY)?;
-        team.resize(team.len() + count, kind as u8);
-    }
-    team.sort_unstable();
-    Some(team)
-}
-
-/// What two teams are called, such as `5m_vs_6m`, or `2s3z` where both are the same.
-pub(super) fn meeting_name([allies, enemies]: [Team; 2]) -> String {
-    let [allies, enemies] = [allies, enemies].map(|mut team| -> String {
+/// Units of both teams by their types, as scenarios have them.
+pub(super) fn in_order(teams: [Team; 2]) -> [Team; 2] {
+    teams.map(|mut team| {
         team.sort_unstable();
-        let runs = team.chunk_by(|one, next| one == next);
-        runs.map(|run| format!("{}{}", run.len(), LETTERS[usize::from(run[0])])).collect()
-    });
-    if allies == enemies { allies } else { format!("{allies}_vs_{enemies}") }
+        team
+    })
 }

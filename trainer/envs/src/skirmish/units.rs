@@ -1,7 +1,5 @@
 //! Types of units, by two rule books.
 
-use alloc::vec::Vec;
-
 use serde::Deserialize;
 
 /// Types of units.
@@ -15,9 +13,6 @@ pub(super) const MARINE: u8 = 2;
 pub(super) const MEDIVAC: u8 = 3;
 pub(super) const STALKER: u8 = 4;
 pub(super) const ZEALOT: u8 = 5;
-
-/// The types of a team's units, in rising order.
-pub(super) type Team = Vec<u8>;
 
 /// Ticks of a second.
 const SECOND: f32 = 16.0;

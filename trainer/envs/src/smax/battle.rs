@@ -6,25 +6,22 @@ use alloc::vec::Vec;
 use super::units::{
     AttackMode, DAMAGE, HEALTH, PERIOD, RADIUS, RANGE, RuleBook, Rules, SIGHT, SPEED, TYPES,
 };
+pub(super) use crate::battles::{CAPACITY, Point, length};
+use crate::battles::{WAYS, heading};
 use crate::bytes::{LAYOUT, Reader};
 use crate::environment::StateError;
 use crate::observation::{ActionSet, members};
 
-/// A place on the map, or a way.
-pub(super) type Point = [f32; 2];
 /// Units, as bits.
 type UnitSet = u64;
 
-/// Most units of both teams.
-pub(super) const CAPACITY: usize = 64;
 /// Places are from 0 to this, north is up.
 pub(super) const SIDE: f32 = 32.0;
 /// Seconds of a tick.
 pub(super) const TICK: f32 = 1.0 / 16.0;
 /// Ticks of a step.
 const TICKS: usize = 8;
-/// Where the first actions go: north, east, south, west. The next one stops, those behind it stand and attack a foe.
-const WAYS: [Point; 4] = [[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]];
+/// The first actions go. The next one stops, those behind it stand and attack a foe.
 pub(super) const STOP: u8 = WAYS.len() as u8;
 pub(super) const ATTACK: u8 = STOP + 1;
 pub(super) const NOBODY: u8 = u8::MAX;
@@ -160,12 +157,12 @@ impl Battle {
             let order = if target != NOBODY && rules.enemy_shoots {
                 ATTACK + (self.allies as u8 - 1 - target)
             } else if seen != 0 {
-                heading(self.seen_way(enemy, draw(enemy, seen)))
+                heading(self.seen_way(enemy, draw(enemy, seen))) as u8
             } else {
                 // The dead of classic rules walk on as if they stood in the corner.
                 let place = if self.units[enemy].is_alive() { [x, y] } else { [0.0; 2] };
                 let [goal_x, goal_y] = self.units[enemy].goal;
-                heading([goal_x - place[0], goal_y - place[1]])
+                heading([goal_x - place[0], goal_y - place[1]]) as u8
             };
             (self.units[enemy].target, self.units[enemy].order) = (target, order);
         }
@@ -290,22 +287,6 @@ impl Battle {
             _ => damage,
         }
     }
-}
-
-#[inline]
-pub(super) fn length([x, y]: Point) -> f32 {
-    libm::sqrtf(x * x + y * y)
-}
-
-/// The action that goes that way best, the first of several.
-pub(super) fn heading([x, y]: Point) -> u8 {
-    let gains = [y, x, -y, -x];
-    (1..STOP).fold(
-        0,
-        |best, way| {
-            if gains[usize::from(way)] > gains[usize::from(best)] { way } else { best }
-        },
-    )
 }
 
 /// Bytes of a battle of so many units: the layout, the sizes of both teams, the steps, the return, the units.

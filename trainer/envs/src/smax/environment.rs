@@ -6,10 +6,11 @@ use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 
 use super::VERSION;
-use super::battle::{ATTACK, Battle, CAPACITY, STOP, TICK, heading, length, state_bytes};
+use super::battle::{ATTACK, Battle, CAPACITY, STOP, TICK, length, state_bytes};
 use super::observation::{OTHER, PAIR, ROW_ENTRIES, row_names, vector_names};
-use super::scenarios::{Roster, SETS, set_name};
+use super::scenarios::{LETTERS, Roster, SETS};
 use super::units::Rules;
+use crate::battles::{heading, meeting_name};
 use crate::bytes::known;
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
@@ -170,7 +171,8 @@ impl Environment for Smax {
         let battle = self.read(state)?;
         let teams = battle.teams();
         if !self.roster.has(&teams) || battle.steps > self.spec.episode_limit {
-            let reason = format!("`{}` after {} steps", set_name(&teams), battle.steps);
+            let reason =
+                format!("`{}` after {} steps", meeting_name(&teams, &LETTERS), battle.steps);
             return Err(StateError::Impossible(reason));
         }
         self.battles[instance] = battle;
@@ -232,7 +234,7 @@ impl Environment for Smax {
             solved: alive > 0 && left == 0,
             timed_out: done && alive > 0 && left > 0,
             episode_return: battle.episode_return,
-            group: set_name(&battle.teams()),
+            group: meeting_name(&battle.teams(), &LETTERS),
             metrics: [Some(felled), Some(alive.into())].to_vec(),
             cause: None,
         }
@@ -251,7 +253,7 @@ impl Environment for Smax {
             let ways = enemies.clone().map(|(enemy, _)| battle.way(agent, enemy));
             let nearest = ways.min_by(|one, other| length(*one).total_cmp(&length(*other)));
             let wish = weakest.map(|(_, attack)| attack);
-            let wish = wish.or_else(|| nearest.map(|way| heading(way).into()));
+            let wish = wish.or_else(|| nearest.map(|way| heading(way) as u16));
             *action = wish.filter(is_available).unwrap_or(STOP.into());
         }
         true

@@ -1,19 +1,16 @@
 //! Which teams meet in a set, and where they start.
 
-use alloc::string::String;
+use alloc::vec;
 use alloc::vec::Vec;
-use alloc::{format, vec};
 
-use super::battle::{ATTACK, Battle, CAPACITY, Point, SIDE};
+use super::battle::{ATTACK, Battle, SIDE};
 use super::units::TYPES;
+use crate::battles::{CAPACITY, Point, Team, meeting};
 use crate::random::{Random, below, chance, unit};
 use crate::spec::Shape;
 
 /// Letters of types in the names of teams; published ones have no zerglings.
-const LETTERS: [char; TYPES] = ['m', 'M', 's', 'z', 'l', 'h'];
-
-/// The types of a team's units.
-type Team = Vec<u8>;
+pub(super) const LETTERS: [char; TYPES] = ['m', 'M', 's', 'z', 'l', 'h'];
 
 /// Which teams meet.
 #[derive(Clone, Debug)]
@@ -39,10 +36,7 @@ impl Roster {
                 let team = vec![0; units.parse().ok().filter(|units| *units <= CAPACITY)?];
                 vec![[team.clone(), team]]
             }
-            _ => {
-                let (allies, enemies) = name.split_once("_vs_").unwrap_or((name, name));
-                vec![[team(allies)?, team(enemies)?]]
-            }
+            _ => vec![meeting(name, &LETTERS)?],
         };
         let roster = Self { teams, is_drawn: drawn.is_some() };
         let [allies, enemies] = roster.most();
@@ -136,24 +130,4 @@ fn harder(team: Team) -> [[Team; 2]; 2] {
     let zealots = team.len() - stalkers;
     let enemies = [sorted(stalkers + 1, zealots), sorted(stalkers, zealots + 1)];
     enemies.map(|enemies| [team.clone(), enemies])
-}
-
-/// What two teams are called, such as `5m_vs_6m`, or `2s3z` where both are the same.
-pub(super) fn set_name(teams: &[Team; 2]) -> String {
-    let [allies, enemies] = teams.each_ref().map(|team| -> String {
-        let runs = team.chunk_by(|one, next| one == next);
-        runs.map(|run| format!("{}{}", run.len(), LETTERS[usize::from(run[0])])).collect()
-    });
-    if allies == enemies { allies } else { format!("{allies}_vs_{enemies}") }
-}
-
-/// The team that a name such as `2s3z` stands for.
-fn team(name: &str) -> Option<Team> {
-    let mut team = Team::new();
-    for run in name.split_inclusive(|sign: char| !sign.is_ascii_digit()) {
-        let kind = LETTERS.iter().position(|letter| run.ends_with(*letter))?;
-        let count: usize = run[..run.len() - 1].parse().ok().filter(|count| *count <= CAPACITY)?;
-        team.resize(team.len() + count, kind as u8);
-    }
-    Some(team)
 }
