@@ -137,7 +137,7 @@ pub const ALMA: MethodEntry = MethodEntry {
     ],
     compared_with: None,
     in_proportion: &["exploration.steps", "allocator.learns_from", "allocator.decides_from"],
-    suit: |_, _, _| {},
+    suit,
     settle_older,
     misfit,
     open,
@@ -197,6 +197,20 @@ fn coached() -> Setup {
     Setup::of(8, RunConfig::default(), &config)
 }
 
+/// What `fast` is where actions are aimed at entities, as in battles: what is seen there are measures more than codes.
+fn suit(preset: &str, setup: &mut Setup, spec: &Spec) {
+    if preset != "fast" || spec.targets.is_empty() || is_windows(&setup.own) {
+        return;
+    }
+    let columns = (spec.shape.features + spec.shape.actions) as f64;
+    if let Some(network) = setup.own.get_mut("network").and_then(toml::Value::as_table_mut) {
+        let values =
+            [("width", 128.into()), ("base", 128.into()), ("active_inputs", columns.into())];
+        network.extend(values.map(|(key, value): (&str, toml::Value)| (key.to_owned(), value)));
+    }
+    setup.run.steps = 400_000;
+}
+
 fn misfit(spec: &Spec) -> Option<&'static str> {
     if spec.shape.tasks == 0 || !spec.rewards.tasks {
         return Some("it has no subtasks with rewards of their own");
@@ -235,6 +249,23 @@ mod tests {
     use sortie_envs::{Rewards, Rule, Shape};
 
     use super::*;
+
+    #[test]
+    fn fast_suits_actions_that_are_aimed() {
+        for (entry, width) in [(ALMA, 128), (FLAT, 128), (COPA, 64)] {
+            let name = "skirmish/6-8sz-symmetric";
+            let world = sortie_envs::open(name, sortie_envs::Split::Train, 1, &Default::default());
+            let mut setup = entry.preset("fast").unwrap();
+            let usual = setup.run.steps;
+            suit("fast", &mut setup, world.unwrap().spec());
+            let config = Config::of(&setup).unwrap();
+            let found = match &config {
+                Config::Records(config) => config.network.width,
+                Config::Windows(config) => config.low_level.width,
+            };
+            assert_eq!((found, setup.run.steps < usual), (width, width == 128), "{}", entry.name);
+        }
+    }
 
     #[test]
     fn what_an_environment_lacks_is_said() {
