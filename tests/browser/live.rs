@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::chromium::Browser;
 use crate::support::{BUNDLE, assert_fails, json, output, wait_until};
 
-const TEAMS: [&str; 8] = [
+const TEAMS: [&str; 9] = [
     BUNDLE,
     "models/save-the-city-wide",
     "models/save-the-city-large",
@@ -18,14 +18,16 @@ const TEAMS: [&str; 8] = [
     "models/rover-tower-8",
     "models/group-matching",
     "models/gridworld",
+    "models/skirmish",
 ];
 /// Teams that nobody assigns to subtasks, and what their pages show of the selected agent and of the rest.
-const UNASSIGNED: [(&str, &[&str]); 5] = [
+const UNASSIGNED: [(&str, &[&str]); 6] = [
     ("models/crafting-iron", &["#milestones", "#team"]),
     ("models/treasure-8", &["#team"]),
     ("models/rover-tower-8", &["#team"]),
     ("models/group-matching", &["#attention", "#things"]),
     ("models/gridworld", &["#team"]),
+    ("models/skirmish", &["#attention", "#things"]),
 ];
 /// What all pages show.
 const EVERYWHERE: [&str; 6] =
