@@ -249,6 +249,9 @@ fn features_of_pairs_add_to_what_targets_are_worth() {
     of_pairs("agent.pointing.weight", [0.0; 2]);
     let without = (agents, of_pairs("agent.pointing.bias", [0.0; 2]));
     let with = (agents, of_pairs("agent.pointing.bias", [1.0, 10.0]));
+    // Deployed weights are scaled as these products are, by about one over the root of the width, which is 16.
+    let scale = agents.deployed(&with.1.values).0.pointing.unwrap().scale;
+    assert_eq!(scale, 0.25);
     let mut want = Vec::new();
     for seen in states(|_| EntitySet::MAX) {
         for agent in members(seen.acting().into()) {
@@ -257,7 +260,7 @@ fn features_of_pairs_add_to_what_targets_are_worth() {
             let observed = seen.observable[agent] & seen.present;
             let worth =
                 row[1..].as_chunks().0.iter().zip(TARGETS.entities()).map(|([a, b], it)| {
-                    if observed >> it & 1 == 1 { (a + 10.0 * b) / 4.0 } else { 0.0 }
+                    if observed >> it & 1 == 1 { scale * (a + 10.0 * b) } else { 0.0 }
                 });
             want.extend([0.0; 2].into_iter().chain(worth));
         }

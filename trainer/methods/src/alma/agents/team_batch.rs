@@ -293,6 +293,8 @@ impl TaskOrder {
 
 #[cfg(test)]
 mod tests {
+    use sortie_learn::networks::Aims;
+
     use super::*;
 
     const FEATURES: usize = 3;
@@ -342,6 +344,31 @@ mod tests {
             |row| input.rows.row(row).filter(|(c, _)| *c >= FEATURES).collect::<Vec<_>>();
         assert!(last_actions(0).is_empty());
         assert_eq!(last_actions(1), [(FEATURES + 3, 1.0)]);
+    }
+
+    /// Of agents 0 and 1 the columns 1 and 2 say how they stand to the entities 4 and 5.
+    #[test]
+    fn what_is_told_of_pairs_is_for_what_is_seen_alone() {
+        let targets = Targets { first: 4, count: 2, first_pair: 1, pair_features: 1 };
+        let mut seen = seen(2);
+        seen.rows.clear();
+        [[1.0, 7.0, 8.0], [2.0, 9.0, 0.0], [5.0; 3], [6.0; 3]]
+            .iter()
+            .for_each(|row| seen.rows.push_dense(row));
+        let mut batch = TeamBatch::default();
+        batch.clear(Columns { targets, ..COLUMNS });
+        batch.push_teams(&seen, &[0, 1], &[NO_ACTION; 2], |_| ());
+        let input = batch.finish();
+        let rows: Vec<Vec<_>> = (0..4).map(|row| input.rows.row(row).collect()).collect();
+        assert_eq!(rows[..2], [[(0, 1.0)], [(0, 2.0)]]);
+        assert_eq!(rows[2], [(0, 5.0), (1, 5.0), (2, 5.0)]);
+        // Agent 0 sees entity 4 alone, which is row 2, agent 1 entity 5, to which nothing stands.
+        let mut want = Aims::default();
+        want.aim_at(targets.entities(), targets.pairs());
+        let own = |values: [f32; 2]| [(1, values[0]), (2, values[1])].into_iter();
+        want.push((0, own([7.0, 8.0])), 1 << 4, |_| 2);
+        want.push((1, own([9.0, 0.0])), 1 << 5, |_| 3);
+        assert_eq!(input.aims, want);
     }
 
     #[test]

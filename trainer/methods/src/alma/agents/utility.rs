@@ -215,6 +215,20 @@ mod tests {
     }
 
     #[test]
+    fn embeddings_are_made_without_what_is_told_of_pairs() {
+        let targets = Targets { first: 1, count: 1, first_pair: 2, pair_features: 2 };
+        let network = drawn(UtilityShape { targets, ..SKIPPING });
+        let is_zero: Vec<bool> = network.parameters.iter().map(|weight| *weight == 0.0).collect();
+        assert!((0..20).all(|weight| is_zero[weight] == (8..16).contains(&weight)));
+        assert!(is_zero[20..].iter().all(|is_zero| !is_zero));
+        let names: Vec<String> = network.shape.tensors().into_iter().map(|it| it.name).collect();
+        assert_eq!(names[9..], ["skip.weight", "pointing.weight", "pointing.bias"]);
+        let head = network.view().layers().pointing.unwrap();
+        let start = network.shape.parameters() - 6 - 6 * 3;
+        assert_eq!(head.query.weight.values, &network.parameters[start..][..4 * 3]);
+    }
+
+    #[test]
     fn a_hint_names_the_skip_alone() {
         assert_eq!(SHAPE.hint_to_become(SKIPPING, "network.skip"), ": `--set network.skip=true`");
         assert_eq!(SKIPPING.hint_to_become(SHAPE, "network.skip"), ": `--set network.skip=false`");
