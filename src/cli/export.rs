@@ -36,9 +36,9 @@ use crate::seeds::SeedRange;
 use crate::terminal::{self, CountedEpisodes};
 use crate::tools::{check_program, compiler, engines, with_plans};
 
-/// Whom agents that are allocated are measured under: their own allocator, and rules.
+/// Whom agents that are allocated are measured under: their own allocator, and the environment's first rules.
 const LEARNED: &str = "learned";
-const RULES: [&str; 2] = ["coordinated", "heuristic"];
+const RULES: usize = 2;
 
 /// Export a training run as a bundle: networks as ONNX, contract, golden observations, card and curve
 ///
@@ -169,7 +169,8 @@ fn export_run(arguments: &ExportArguments) -> Outcome {
 fn allocations(learned: &LearnedMethod) -> Vec<&'static str> {
     let Some(subtasks) = learned.method.subtasks() else { return vec!["none"] };
     let own = subtasks.allocator.map(|_| LEARNED);
-    own.into_iter().chain(RULES).collect()
+    let rules = learned.environment.spec().rules.iter().take(RULES);
+    own.into_iter().chain(rules.map(|rule| rule.name)).collect()
 }
 
 /// The agents under one of these.

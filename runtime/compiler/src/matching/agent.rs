@@ -292,7 +292,9 @@ fn match_embedding(
         let part = place.and_then(|place| parts.get_mut(place)).filter(|part| part.is_none());
         *part.ok_or_else(|| unsupported(product))? = Some(matrix);
     }
-    let parts: Option<Vec<Matrix>> = parts.into_iter().collect();
+    // Of a relation without columns there is no product.
+    let needed = if roles.relations > 0 { 4 } else { 3 };
+    let parts: Option<Vec<Matrix>> = parts.into_iter().take(needed).collect();
     let parts = parts.ok_or_else(|| unsupported(sum))?;
     let outputs = parts.first().map_or(0, |part| part.outputs);
     let inputs = parts.iter().map(|part| part.inputs).sum();

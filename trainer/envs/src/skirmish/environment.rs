@@ -12,6 +12,7 @@ use super::armies::{ARMIES, Fate};
 use super::battle::{CAPACITY, NOBODY, Order};
 use super::bytes::state_bytes;
 use super::encounter::{Encounter, Outcome, VICTORY};
+use super::frames::reader;
 use super::observation::{Aim, Layout, ORDERS, turned_action};
 use super::picture::picture;
 use super::rules::{RULES, allocate, scripted};
@@ -33,7 +34,7 @@ pub const ENTRY: Entry = Entry {
     sets: || SETS.split(' ').map(String::from).collect(),
     open: |choice| Ok(Box::new(open(choice)?)),
     rules: RULES,
-    reader: None,
+    reader: Some(reader),
     #[cfg(feature = "std")]
     recordings: None,
 };

@@ -11,6 +11,7 @@ mod bytes;
 mod encounter;
 mod environment;
 mod fight;
+mod frames;
 mod moving;
 mod observation;
 mod orders;

@@ -30,6 +30,8 @@ const TOLD_NAMES: &str = "health shield energy cooldown x y moved-x moved-y atta
 const TOLD: usize = 10;
 /// What is told of enemies where there are armies.
 const ARMY_NAMES: &str = "army-0 army-1 army-2 army-attacks army-since";
+/// The column of a row that marks the first army, where there are armies.
+pub(super) const FIRST_ARMY: usize = 1 + TYPES + TOLD;
 /// How an agent stands to whom it may aim at.
 const PAIR_NAMES: &str = "east north distance within-reach after-it";
 const PAIR: usize = 5;
@@ -92,7 +94,7 @@ impl Layout {
     }
 
     fn first_tag(&self) -> usize {
-        1 + TYPES + TOLD + if self.is_defence { ARMIES + 2 } else { 0 }
+        FIRST_ARMY + if self.is_defence { ARMIES + 2 } else { 0 }
     }
 
     pub(super) fn feature_names(&self) -> Vec<String> {
@@ -318,9 +320,9 @@ impl Layout {
         }
         let army = usize::from(unit.army);
         if let Some(own) = armies.list.get(army) {
-            rows.push(start + TOLD + army, 1.0);
-            rows.push_unless_zero(start + TOLD + ARMIES, f32::from(u8::from(own.attacks)));
-            rows.push_unless_zero(start + TOLD + ARMIES + 1, f32::from(own.since) / 20.0);
+            rows.push(FIRST_ARMY + army, 1.0);
+            rows.push_unless_zero(FIRST_ARMY + ARMIES, f32::from(u8::from(own.attacks)));
+            rows.push_unless_zero(FIRST_ARMY + ARMIES + 1, f32::from(own.since) / 20.0);
         }
         if self.aim == Aim::Tags {
             rows.push(self.first_tag() + usize::from(unit.tag), 1.0);

@@ -20,50 +20,79 @@ pub(super) const RULES: &[Rule] = &[
     Rule { name: "random", about: "Every agent any army that is left" },
 ];
 
-/// Writes for every agent its army.
+/// The rule that draws.
+const RANDOM: usize = 2;
+
+/// What rules know of armies.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Muster {
+    /// Units of each type.
+    pub(super) units: [[i8; TYPES]; ARMIES],
+    pub(super) attacks: [bool; ARMIES],
+    /// Those that are left, as bits.
+    pub(super) open: u32,
+}
+
+impl Muster {
+    /// Of an encounter. The dead count too, so that the living keep their armies.
+    fn of(Encounter { battle, armies, .. }: &Encounter) -> Self {
+        let attacks = armies.list.each_ref().map(|army| army.attacks);
+        let mut muster = Self { attacks, open: armies.open(), ..Self::default() };
+        for enemy in &battle.units[battle.allies..battle.count] {
+            if let Some(units) = muster.units.get_mut(usize::from(enemy.army)) {
+                units[enemy.kind()] += 1;
+            }
+        }
+        muster
+    }
+
+    /// Writes an army for each of these agents, told with their types, one after the other.
+    pub(super) fn allocate(
+        self,
+        rule: usize,
+        agents: impl Iterator<Item = (usize, usize)>,
+        random: &mut Random,
+        allocation: &mut [u8],
+    ) {
+        let Self { units: mut unmatched, attacks, open } = self;
+        let mut surplus = unmatched.map(|army| army.iter().sum::<i8>());
+        let mut is_taken = [false; ARMIES];
+        for (agent, kind) in agents {
+            let worth = |army: &usize| {
+                let attacks = rule == 0 && attacks[*army];
+                (attacks, unmatched[*army][kind] > 0, !is_taken[*army], surplus[*army])
+            };
+            let army = if rule == RANDOM {
+                member(random, open.into())
+            } else {
+                // Of equals the first.
+                (0..ARMIES).rev().filter(|army| open >> army & 1 == 1).max_by_key(worth)
+            };
+            let Some(army) = army else { return };
+            allocation[agent] = army as u8;
+            is_taken[army] = true;
+            surplus[army] -= 1;
+            unmatched[army][kind] = (unmatched[army][kind] - 1).max(0);
+        }
+    }
+}
+
+/// Writes for every agent its army, in an order that the episode has drawn.
 pub(super) fn allocate(
     rule: usize,
     encounter: &Encounter,
     random: &mut Random,
     allocation: &mut [u8],
 ) {
-    let Encounter { battle, armies, .. } = encounter;
-    let open = armies.open();
+    let battle = &encounter.battle;
     allocation.fill(UNASSIGNED);
-    if rule == 2 {
-        for army in &mut allocation[..battle.allies] {
-            *army = member(random, open.into()).map_or(UNASSIGNED, |army| army as u8);
-        }
-        return;
-    }
-    // The dead count too, on both sides, so that the living keep their armies.
-    let mut unmatched = [[0_i8; TYPES]; ARMIES];
-    for enemy in battle.allies..battle.count {
-        if let Some(army) = unmatched.get_mut(usize::from(battle.units[enemy].army)) {
-            army[battle.units[enemy].kind()] += 1;
-        }
-    }
-    let mut surplus = unmatched.map(|army| army.iter().sum::<i8>());
     let mut order: [usize; CAPACITY] = core::array::from_fn(|agent| agent);
     let order = &mut order[..battle.allies];
-    shuffle(&mut generator(encounter.order_seed.into()), order);
-    let mut is_taken = [false; ARMIES];
-    for agent in order {
-        let kind = battle.units[*agent].kind();
-        let worth = |army: &usize| {
-            let attacks = rule == 0 && armies.list[*army].attacks;
-            (attacks, unmatched[*army][kind] > 0, !is_taken[*army], surplus[*army])
-        };
-        // Of equals the first.
-        let Some(army) = (0..ARMIES).rev().filter(|army| open >> army & 1 == 1).max_by_key(worth)
-        else {
-            return;
-        };
-        allocation[*agent] = army as u8;
-        is_taken[army] = true;
-        surplus[army] -= 1;
-        unmatched[army][kind] = (unmatched[army][kind] - 1).max(0);
+    if rule != RANDOM {
+        shuffle(&mut generator(encounter.order_seed.into()), order);
     }
+    let agents = order.iter().map(|agent| (*agent, battle.units[*agent].kind()));
+    Muster::of(encounter).allocate(rule, agents, random, allocation);
 }
 
 /// Who shoots attacks the nearest enemy of its army, or of all where none of that is left, and goes there first; who heals

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use super::super::scenarios::{SETS, Scenario};
 use super::super::units::Book;
+use crate::frame::{Frame, FrameError};
 use crate::random::generator;
 use crate::registry::Setting;
 use crate::{
     EntitySet, Environment, EnvironmentError, Episode, Observation, Split, StateError, StepError,
-    conformance, open,
+    UNASSIGNED, conformance, members, open,
 };
 
 pub(super) fn opened(set: &str, settings: &[(&str, Setting)]) -> Box<dyn Environment> {
@@ -255,4 +256,70 @@ fn own_losses_are_those_of_armies() {
         }
     }
     assert!(worst.iter().all(|worst| *worst < 0.0), "{worst:?}");
+}
+
+/// What a process would read of a state.
+fn rows_of(environment: &dyn Environment, state: &[u8]) -> (Vec<f32>, Observation) {
+    let mut seen = Observation::default();
+    environment.observe(state, 0, EntitySet::MAX, &mut seen);
+    let features = environment.spec().shape.features;
+    let mut rows = vec![0.0; features * environment.spec().shape.entities];
+    for (row, entity) in members(seen.entities).enumerate() {
+        seen.rows.write_dense(row, &mut rows[entity * features..][..features]);
+    }
+    (rows, seen)
+}
+
+/// While all live: agents of one type are interchangeable, so that who is first does not matter.
+#[test]
+fn rules_find_the_same_in_frames() {
+    let mut skirmish = opened("4s-disadvantage", &[]);
+    let mut random = generator(8);
+    let mut reader = super::super::frames::reader();
+    for _ in 0..20 {
+        skirmish.reset(0, &mut random);
+        let state = saved(&*skirmish);
+        let (rows, seen) = rows_of(&*skirmish, &state);
+        let (stride, open_tasks) = (skirmish.spec().shape.features, seen.open_tasks);
+        let present = seen.present & !EntitySet::from(seen.absent);
+        let frame = Frame { rows: &rows, stride, agents: 4, tasks: 3, present, open_tasks };
+        reader.read(&frame).unwrap();
+        for rule in 0..2 {
+            let [mut own, mut read] = [[9; 4], [9; 4]];
+            skirmish.allocate(rule, &state, &mut random, &mut own);
+            reader.allocate(rule, &mut random, &mut read).unwrap();
+            own.sort_unstable();
+            read.sort_unstable();
+            assert_eq!(read, own, "rule {rule}");
+        }
+        let mut drawn = [9; 6];
+        reader.allocate(2, &mut random, &mut drawn).unwrap();
+        assert!(drawn[..4].iter().all(|army| open_tasks >> army & 1 == 1));
+        assert_eq!(drawn[4..], [UNASSIGNED; 2]);
+        assert_eq!(reader.allocate(0, &mut random, &mut [0; 3]), Err(FrameError::BadLength));
+    }
+}
+
+#[test]
+fn frames_that_show_no_encounter_are_refused() {
+    let mut skirmish = opened("4s-disadvantage", &[]);
+    skirmish.reset(0, &mut generator(8));
+    let (rows, seen) = rows_of(&*skirmish, &saved(&*skirmish));
+    let stride = skirmish.spec().shape.features;
+    let present = seen.present;
+    let read = |rows: &[f32], tasks: usize| {
+        let frame = Frame { rows, stride, agents: 4, tasks, present, open_tasks: 1 };
+        super::super::frames::reader().read(&frame)
+    };
+    let changed = |column: usize, value: f32| {
+        let mut rows = rows.clone();
+        rows[2 * stride + column] = value;
+        read(&rows, 3)
+    };
+    assert_eq!(read(&rows, 3), Ok(()));
+    assert_eq!(read(&rows, 4), Err(FrameError::TooLarge));
+    assert_eq!(read(&rows[..stride], 3), Err(FrameError::BadLength));
+    assert_eq!(changed(8, f32::NAN), Err(FrameError::NonFinite { entity: 2 }));
+    // A stalker no more.
+    assert_eq!(changed(5, 0.5), Err(FrameError::BadRow { entity: 2 }));
 }
