@@ -1,6 +1,7 @@
 //! Encounters read back from feature rows, for rules of allocation in processes that see messages alone.
 
 use alloc::boxed::Box;
+use alloc::collections::BTreeMap;
 use alloc::vec::Vec;
 
 use super::armies::ARMIES;
@@ -9,7 +10,7 @@ use super::rules::Muster;
 use super::units::TYPES;
 use crate::decisions::UNASSIGNED;
 use crate::frame::{Frame, FrameError, FrameReader};
-use crate::observation::members;
+use crate::observation::{EntitySet, members};
 use crate::random::Random;
 
 /// A reader that has read nothing yet.
@@ -17,13 +18,19 @@ pub(super) fn reader() -> Box<dyn FrameReader> {
     Box::new(Reader::default())
 }
 
-/// What rules need of a frame. Rows do not show the dead, nor the order that an episode has drawn: here the living count, and
-/// agents choose by their numbers.
+/// A unit as rows show it: its type, and the army of an enemy.
+type Shown = (usize, Option<usize>);
+
+/// What rules need of frames. Rows do not show the dead, who count: they are remembered until a frame shows somebody who was
+/// not there before, or somebody else in a unit's place, as that is another episode. Nor do rows tell the order that an episode
+/// has drawn: here agents choose by their numbers.
 #[derive(Debug, Default)]
 struct Reader {
+    /// Units of the episode, by their rows.
+    units: BTreeMap<usize, Shown>,
+    /// Those that live.
+    present: EntitySet,
     muster: Muster,
-    /// Agents that are there, and their types.
-    agents: Vec<(usize, usize)>,
     /// Agent rows.
     slots: usize,
 }
@@ -33,26 +40,20 @@ impl FrameReader for Reader {
         if frame.tasks > ARMIES {
             return Err(FrameError::TooLarge);
         }
+        let shown = members(frame.present).map(|entity| Ok((entity, shown(frame, entity)?)));
+        let shown = shown.collect::<Result<Vec<_>, FrameError>>()?;
+        let is_known = |(entity, unit): &(usize, Shown)| self.units.get(entity) == Some(unit);
+        if frame.present & !self.present != 0 || !shown.iter().all(is_known) {
+            self.units.clear();
+        }
+        self.units.extend(shown);
+        (self.present, self.slots) = (frame.present, frame.agents);
         self.muster = Muster { open: frame.open_tasks & ((1 << ARMIES) - 1), ..Muster::default() };
-        self.agents.clear();
-        self.slots = frame.agents;
-        for entity in members(frame.present) {
-            let row = frame.rows.get(entity * frame.stride..).unwrap_or_default();
-            let row = row.get(..frame.stride.min(FIRST_ARMY + ARMIES + 1));
-            let row = row.ok_or(FrameError::BadLength)?;
-            if !row.iter().all(|value| value.is_finite()) {
-                return Err(FrameError::NonFinite { entity });
-            }
-            let marked = |first: usize, count: usize| {
-                row.get(first..)?.iter().take(count).position(|value| *value == 1.0)
-            };
-            let kind = marked(1, TYPES).ok_or(FrameError::BadRow { entity })?;
-            if entity < frame.agents {
-                self.agents.push((entity, kind));
-            } else if let Some(army) = marked(FIRST_ARMY, ARMIES) {
-                self.muster.units[army][kind] += 1;
-                self.muster.attacks[army] = row.get(FIRST_ARMY + ARMIES) == Some(&1.0);
-            }
+        for (entity, (kind, army)) in &self.units {
+            let Some(army) = *army else { continue };
+            self.muster.units[army][*kind] += 1;
+            let attacks = frame.rows.get(entity * frame.stride + FIRST_ARMY + ARMIES);
+            self.muster.attacks[army] |= frame.present >> entity & 1 == 1 && attacks == Some(&1.0);
         }
         Ok(())
     }
@@ -67,7 +68,12 @@ impl FrameReader for Reader {
             return Err(FrameError::BadLength);
         }
         allocation.fill(UNASSIGNED);
-        self.muster.allocate(rule, self.agents.iter().copied(), random, allocation);
+        let agents = self.units.range(..self.slots).map(|(agent, (kind, _))| (*agent, *kind));
+        self.muster.allocate(rule, agents, random, allocation);
+        let lives = |agent: &usize| self.present >> agent & 1 == 1;
+        (0..self.slots)
+            .filter(|agent| !lives(agent))
+            .for_each(|dead| allocation[dead] = UNASSIGNED);
         Ok(())
     }
 
@@ -76,4 +82,18 @@ impl FrameReader for Reader {
     }
 
     fn relate(&self, _: usize, _: &mut [f32]) {}
+}
+
+/// What the row of a unit shows.
+fn shown(frame: &Frame<'_>, entity: usize) -> Result<Shown, FrameError> {
+    let row = frame.rows.get(entity * frame.stride..).unwrap_or_default();
+    let row = row.get(..frame.stride.min(FIRST_ARMY + ARMIES + 1)).ok_or(FrameError::BadLength)?;
+    if !row.iter().all(|value| value.is_finite()) {
+        return Err(FrameError::NonFinite { entity });
+    }
+    let marked = |first: usize, count: usize| {
+        row.get(first..)?.iter().take(count).position(|value| *value == 1.0)
+    };
+    let kind = marked(1, TYPES).ok_or(FrameError::BadRow { entity })?;
+    Ok((kind, marked(FIRST_ARMY, ARMIES).filter(|_| entity >= frame.agents)))
 }

@@ -43,10 +43,9 @@ pub(super) fn deployed(
 /// dissertation.
 pub(super) fn words(allocator: String, departures: String) -> Words {
     let agents = "Every agent runs the same masked-attention utility network (dissertation section 7.3): it sees the\n\
-                  entities of its own subtask, its team mates and one building, and nothing else.";
-    let figures = "*Success*: all buildings are complete at the end. *No building burned* is what\n\
-                   the dissertation calls success. ";
-    let limits = "It serves teams and cities up to the largest of these scenarios; `bundle.toml` has the numbers.\n\
+                  entities of its own subtask and its team mates, and nothing else.";
+    let figures = "*Success*: all subtasks are completed. ";
+    let limits = "It serves teams up to the largest of these scenarios; `bundle.toml` has the numbers.\n\
                   Agents that do not share a subtask do not see each other and can block each other's way.\n";
     let [agents, figures, limits] = [agents, figures, limits].map(str::to_owned);
     Words { agents, allocator, figures, departures, limits }

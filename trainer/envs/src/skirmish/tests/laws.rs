@@ -292,6 +292,15 @@ fn rules_find_the_same_in_frames() {
             read.sort_unstable();
             assert_eq!(read, own, "rule {rule}");
         }
+        // Who dies leaves the others their armies.
+        let mut before = [9; 4];
+        reader.allocate(1, &mut random, &mut before).unwrap();
+        reader.read(&Frame { present: present & !0b10, ..frame }).unwrap();
+        let mut behind = [9; 4];
+        reader.allocate(1, &mut random, &mut behind).unwrap();
+        before[1] = UNASSIGNED;
+        assert_eq!(behind, before);
+        reader.read(&frame).unwrap();
         let mut drawn = [9; 6];
         reader.allocate(2, &mut random, &mut drawn).unwrap();
         assert!(drawn[..4].iter().all(|army| open_tasks >> army & 1 == 1));

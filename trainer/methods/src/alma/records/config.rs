@@ -102,7 +102,7 @@ sections! {
         decides_from: u64 = 150_000, Whole(0, STEPS), "environment steps";
         /// Worth of a reward one step later.
         discount: f32 = 0.99, SHARE, "factor per step";
-        /// Who is moved to a random open building in a decision to explore.
+        /// Who is moved to a random open subtask in a decision to explore.
         moved: f64 = 0.15, SHARE, "share of the agents";
         /// How often agents are moved at all.
         moved_decisions: f64 = 0.7, SHARE, "share of the decisions";

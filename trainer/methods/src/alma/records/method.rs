@@ -343,7 +343,7 @@ impl Method for Records {
         let allocator = match &self.allocator {
             None => String::new(),
             Some(_) => format!(
-                "The allocator values every team at every open building by a network of the same kind and takes the\n\
+                "The allocator values every team at every open subtask by a network of the same kind and takes the\n\
                  best allocation; a team has at most {} agents.\n\n",
                 allocation.team_max
             ),
@@ -366,7 +366,7 @@ impl Method for Records {
         );
         if returns.shaping != 0.0 {
             departures += &format!(
-                "- Potential shaping of {} per cell between an agent and its building, which leaves the best policy\n  \
+                "- Potential shaping of {} per cell between an agent and its subtask, which leaves the best policy\n  \
                  as it is.\n",
                 returns.shaping
             );
