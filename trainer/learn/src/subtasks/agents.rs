@@ -8,12 +8,13 @@ use super::{Agents, AllocatedScene, NO_ACTION};
 use crate::error::LearnError;
 use crate::random::{Purpose, generator};
 
-/// What the agents of a scene are shown under the subtask mask: present entities, of which each sees those of its own
-/// subtask (dissertation section 7.3).
+/// What the agents of a scene are shown under the subtask mask: a row for every entity, as in frames, of which each sees those
+/// that are there and of its own subtask (dissertation section 7.3).
 #[derive(Clone, Debug, Default)]
 pub struct MaskedViews {
     features: usize,
     rows: Vec<f32>,
+    present: EntityMask,
     last_actions: Vec<u16>,
     entity_task: Vec<u32>,
     subtasks: Vec<Option<u8>>,
@@ -27,16 +28,23 @@ impl MaskedViews {
         let (seen, agents) = (scene.seen, scene.seen.agents());
         let shape = scene.environment.spec().shape;
         self.features = shape.features;
-        seen.rows.write_all(shape.features, &mut self.rows);
+        self.rows.clear();
+        self.rows.resize(shape.entities * shape.features, 0.0);
+        for entity in members(seen.present) {
+            let row = &mut self.rows[entity * shape.features..][..shape.features];
+            seen.rows.write_dense(seen.row_of(entity), row);
+        }
+        let words = [seen.present as u64, (seen.present >> 64) as u64];
+        self.present = EntityMask::from_words(&words);
         let widen =
             |action: &u8| if *action == NO_ACTION { NO_ACTION_YET } else { (*action).into() };
         self.last_actions.clear();
         self.last_actions.extend(scene.last_actions[..agents].iter().map(widen));
         let task_bit = |task: &u8| 1_u32.checked_shl((*task).into()).unwrap_or(0);
         self.entity_task.clear();
-        self.entity_task.extend(scene.allocation[..agents].iter().map(task_bit));
-        let things = members(seen.present).skip(agents);
-        self.entity_task.extend(things.map(|entity| seen.entity_task[entity]));
+        self.entity_task.extend(&seen.entity_task);
+        let own = scene.allocation[..agents].iter().map(task_bit);
+        self.entity_task.iter_mut().zip(own).for_each(|(tasks, own)| *tasks = own);
         let subtask = |task: &u8| (*task != UNASSIGNED).then_some(*task);
         self.subtasks.clear();
         self.subtasks.extend(scene.allocation[..agents].iter().map(subtask));
@@ -49,13 +57,12 @@ impl MaskedViews {
 
     /// What each agent sees, in their order.
     pub fn observations(&self) -> impl Iterator<Item = Observation<'_>> {
-        let everything = EntityMask::first(self.entity_task.len());
         let agents = self.available.iter().zip(&self.subtasks).enumerate();
         agents.map(move |(self_index, (available, subtask))| Observation {
             rows: &self.rows,
             stride: self.features,
             last_actions: &self.last_actions,
-            visible: visible(everything, everything, &self.entity_task, *subtask),
+            visible: visible(self.present, self.present, &self.entity_task, *subtask),
             self_index,
             available,
         })
