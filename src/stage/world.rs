@@ -119,6 +119,7 @@ fn write_frame(seen: &Observation, shape: &sortie_envs::Shape, frame: &mut Frame
     }
     frame.set_present(&entity_mask(seen.present));
     frame.set_open_tasks(seen.open_tasks);
+    frame.set_absent(seen.absent);
     for (agent, (entities, available)) in seen.observable.iter().zip(&seen.available).enumerate() {
         frame.set_observable(agent, &entity_mask(*entities));
         for (action, code) in frame.available_mut(agent).iter_mut().enumerate() {
@@ -137,15 +138,18 @@ fn entity_mask(set: EntitySet) -> EntityMask {
 
 #[cfg(test)]
 mod tests {
-    use sortie_core::{DecideError, Decision, Observation as Own, Policy};
+    use sortie_core::{
+        AllocateError, AllocationState, Allocator, DecideError, Decision, Observation as Own,
+        Policy,
+    };
     use sortie_envs::random::generator;
     use sortie_envs::{ENVIRONMENTS, Split};
     use sortie_ipc::{DomainContract, InProcess, Stop, WorldSettings, run_in_process};
 
     use super::*;
 
-    /// Takes the last available action.
-    struct Last(usize);
+    /// Takes the last available action of so many, or always the first, which is to stop.
+    struct Last(usize, bool);
 
     impl Policy for Last {
         fn actions(&self) -> usize {
@@ -159,21 +163,51 @@ mod tests {
 
         fn decide(&mut self, seen: &Own<'_>) -> Result<Decision, DecideError> {
             assert!(seen.visible.iter().count() >= 1, "an agent sees itself at least");
-            let action = seen.available.iter().rposition(|code| *code != 0);
+            let last = seen.available.iter().rposition(|code| *code != 0);
+            let action = if self.1 { Some(0) } else { last };
             let action = action.ok_or(DecideError::BadLength)? as u16;
             Ok(Decision { action, utility: 0.0 })
         }
     }
 
+    /// Sends everybody to the first subtask that is open, and counts who is left of eight.
+    struct Counts(usize);
+
+    impl Allocator for Counts {
+        fn allocate(
+            &mut self,
+            state: &AllocationState<'_>,
+            allocation: &mut [u8],
+        ) -> Result<(), AllocateError> {
+            let living = (0..state.agents).filter(|agent| state.present.contains(*agent));
+            for agent in living.clone() {
+                let health = state.rows[agent * state.stride + 7];
+                assert!(health > 0.0, "the dead get nothing to do");
+                allocation[agent] = state.open_tasks.trailing_zeros() as u8;
+            }
+            self.0 = self.0.min(living.count());
+            Ok(())
+        }
+    }
+
     /// Plays episodes of an environment in this process, without subtasks.
     fn play(name: &str, seed: u64, episodes: u32) -> EnvironmentWorld {
+        play_under(name, seed, episodes, None)
+    }
+
+    fn play_under(
+        name: &str,
+        seed: u64,
+        episodes: u32,
+        allocator: Option<&mut Counts>,
+    ) -> EnvironmentWorld {
         let environment = sortie_envs::open(name, Split::Train, 1, &Default::default());
         let mut world = EnvironmentWorld::new(environment.expect("it opens"), generator(seed));
         let actions = world.shape().actions;
         let contract = DomainContract {
             hash: 1,
             decision_interval: 5,
-            subtasks: false,
+            subtasks: allocator.is_some(),
             safe_action: None,
             model: [0; 16],
             allocation: None,
@@ -181,8 +215,9 @@ mod tests {
             fields: toml::Table::new(),
         };
         let settings = WorldSettings { episodes: Some(episodes), ..WorldSettings::default() };
-        let mut policy = Last(actions);
-        let team = InProcess { world: &mut world, policy: &mut policy, allocator: None };
+        let mut policy = Last(actions, allocator.is_some());
+        let allocator = allocator.map(|counts| counts as &mut dyn Allocator);
+        let team = InProcess { world: &mut world, policy: &mut policy, allocator };
         run_in_process(team, &contract, &settings, &mut (), &Stop::default())
             .expect("the episodes are played");
         world
@@ -204,6 +239,13 @@ mod tests {
                 assert!(sum.episodes <= 3 && (value.is_none() || sum.episodes >= 1));
             }
         }
+    }
+
+    #[test]
+    fn allocators_count_without_the_dead() {
+        let mut counts = Counts(8);
+        play_under("skirmish/8s-disadvantage", 5, 3, Some(&mut counts));
+        assert!(counts.0 < 8, "some die");
     }
 
     #[test]

@@ -106,6 +106,17 @@ impl<'a> FrameMut<'a> {
         self.head.open_tasks = tasks & self.layout.every_task();
     }
 
+    /// States the agents that are dead or have failed for good, whom allocators leave out: bit a for agent a. Their bodies may
+    /// be present.
+    pub fn set_absent(&mut self, agents: u64) {
+        self.head.absent = agents & self.layout.every_agent();
+    }
+
+    /// The agents that are absent so far.
+    pub fn absent(&self) -> u64 {
+        self.head.absent
+    }
+
     /// States the last action of `agent`. The world role writes it.
     pub fn set_last_action(&mut self, agent: usize, action: u16) {
         if let Some(to) = self.last_actions.get_mut(agent) {
@@ -113,8 +124,8 @@ impl<'a> FrameMut<'a> {
         }
     }
 
-    /// States the step in the episode, the newest decision tick, and the agents for which nobody acts: bit a for agent
-    /// a. The world role writes them.
+    /// States the step in the episode, the newest decision tick, and the agents that are absent: bit a for agent a. The
+    /// world role writes them.
     pub fn set_progress(&mut self, step: u32, decision_tick: u64, absent: u64) {
         self.head.step = step;
         self.head.decision_tick = decision_tick;

@@ -176,7 +176,8 @@ impl<'a> FrameView<'a> {
         self.head.decision_tick
     }
 
-    /// Bit a: nobody has acted for agent a for some ticks, and allocators leave it out. Its body may be present.
+    /// Bit a: nobody has acted for agent a for some ticks, or it is dead, and allocators leave it out. Its body may be
+    /// present.
     pub fn absent(&self) -> u64 {
         self.head.absent
     }

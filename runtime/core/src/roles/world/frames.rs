@@ -100,7 +100,8 @@ impl WorldRole {
     /// Adds what the role knows to a frame, and notes who must answer it.
     fn complete(&mut self, frame: &mut FrameMut<'_>) {
         let absent = self.seats.absent();
-        frame.set_progress(self.step, self.decision_tick, absent);
+        // Besides those for whom nobody acts, those of whom the world says so.
+        frame.set_progress(self.step, self.decision_tick, absent | frame.absent());
         let present = frame.present();
         self.present = 0;
         for agent in 0..self.options.format.layout.shape().agents {
