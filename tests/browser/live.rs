@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::chromium::Browser;
 use crate::support::{BUNDLE, assert_fails, json, output, wait_until};
 
-const TEAMS: [&str; 9] = [
+const TEAMS: [&str; 10] = [
     BUNDLE,
     "models/save-the-city-wide",
     "models/save-the-city-large",
@@ -19,6 +19,7 @@ const TEAMS: [&str; 9] = [
     "models/group-matching",
     "models/gridworld",
     "models/skirmish",
+    "models/base-defence",
 ];
 /// Teams that nobody assigns to subtasks, and what their pages show of the selected agent and of the rest.
 const UNASSIGNED: [(&str, &[&str]); 6] = [
