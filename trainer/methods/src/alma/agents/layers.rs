@@ -96,7 +96,7 @@ pub struct UtilityLayers {
     head: Linear,
     skip: Option<Linear>,
     /// Makes the vector that points.
-    pub(super) pointing: Option<Linear>,
+    pointing: Option<Linear>,
 }
 
 /// What a utility network has made of its input before the head.

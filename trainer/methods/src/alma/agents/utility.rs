@@ -12,10 +12,9 @@ use serde::{Deserialize, Serialize};
 use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix, PointingHead};
 use sortie_learn::networks::Targets;
 use sortie_nn::layers::attention::AttentionShape;
+use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
-use sortie_nn::tape::{Parameters, Tensor};
-
-use super::layers::UtilityLayers;
+use sortie_nn::tape::{Linear, Parameters, Tensor};
 
 /// Sizes of a utility network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -167,8 +166,12 @@ impl<'a> UtilityView<'a> {
     }
 
     fn pointing(self) -> Option<PointingHead<'a>> {
-        let layer = UtilityLayers::of(self.shape).pointing?;
-        Some(self.shape.targets.deployed(layer, self.parameters))
+        let UtilityShape { width, base, targets, .. } = self.shape;
+        let tensors = self.shape.tensors();
+        let start = |name: &str| Some(tensors.iter().find(|it| it.name == name)?.range.start);
+        let shape = LinearShape { input: base, output: targets.reach(width) };
+        let (weight, bias) = (start("pointing.weight")?, start("pointing.bias"));
+        Some(targets.deployed(Linear { shape, weight, bias }, self.parameters))
     }
 }
 
