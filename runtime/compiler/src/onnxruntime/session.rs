@@ -174,6 +174,10 @@ impl TypedTensor {
     }
 
     fn write(&mut self, numbers: &[f32]) {
+        // A tensor without numbers, such as a relation of no columns, has no memory that could be borrowed.
+        if numbers.is_empty() {
+            return;
+        }
         match self {
             Self::F32(tensor) => fill(tensor.extract_tensor_mut().1, numbers, |n| n),
             Self::F64(tensor) => fill(tensor.extract_tensor_mut().1, numbers, f64::from),
