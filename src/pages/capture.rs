@@ -15,6 +15,9 @@ pub struct Captured {
     /// What does not change.
     #[serde(flatten)]
     pub facts: Facts,
+    /// Rows of agents in what thoughts are given of.
+    #[serde(skip)]
+    slots: usize,
     /// One more than steps: the last one is final.
     pub states: Vec<State>,
     /// What happened between them.
@@ -54,7 +57,9 @@ pub fn play_deployed(cast: &Cast, seed: u64, number: usize) -> Result<Captured, 
     let Opening { facts, news, .. } = player.open()?;
     let (states, steps) = (vec![news.state.state], Vec::new());
     let events = news.events;
-    let mut captured = Captured { facts, states, steps, events, result: "", visits: Vec::new() };
+    let slots = facts.agents.len();
+    let (result, visits) = ("", Vec::new());
+    let mut captured = Captured { facts, slots, states, steps, events, result, visits };
     while let Some(News { step, state, events, result, .. }) = player.step()? {
         captured.states.push(state.state);
         captured.steps.extend(step);
@@ -69,7 +74,10 @@ impl Captured {
     pub fn give_thoughts(&mut self, thoughts: Vec<Thought>) {
         let mut thoughts = thoughts.into_iter();
         for state in &mut self.states {
-            let own: Vec<_> = thoughts.by_ref().take(state.agents.len()).map(Some).collect();
+            let agents = state.agents.len();
+            let own =
+                thoughts.by_ref().take(agents).map(|it| Some(renumbered(it, self.slots, agents)));
+            let own: Vec<_> = own.collect();
             state.thoughts = (!own.is_empty()).then_some(own);
         }
     }
@@ -100,12 +108,15 @@ pub struct TeamLog<'a, T: ?Sized> {
     decisions: DecisionPoints,
     probe: Option<TeamValueProbe<'a>>,
     shown: Vec<Shown>,
+    /// Rows of agents in observations, whether there are so many or not.
+    slots: usize,
 }
 
 impl<'a, T: Act + ?Sized> TeamLog<'a, T> {
     /// A team whose agents are allocated every so many steps, where they are.
     pub fn new(team: &'a mut T, interval: u32, probe: Option<TeamValueProbe<'a>>) -> Self {
-        Self { team, decisions: DecisionPoints::every(interval), probe, shown: Vec::new() }
+        let (decisions, shown) = (DecisionPoints::every(interval), Vec::new());
+        Self { team, decisions, probe, shown, slots: 0 }
     }
 
     /// The episode, with its steps.
@@ -127,7 +138,7 @@ impl<'a, T: Act + ?Sized> TeamLog<'a, T> {
         let events = shown.iter().enumerate();
         let events = events.flat_map(|(at, now)| now.events(&facts, at, before(at))).collect();
         let states = shown.into_iter().map(|shown| shown.state).collect();
-        Captured { facts, states, steps, events, result, visits }
+        Captured { facts, slots: self.slots, states, steps, events, result, visits }
     }
 }
 
@@ -140,12 +151,16 @@ impl<T: Act + ?Sized> Act for TeamLog<'_, T> {
     ) -> Result<(), LearnError> {
         self.team.act(scenes, random, actions)?;
         let worlds = scenes.environment;
+        self.slots = worlds.spec().shape.agents;
         let mut thoughts = self.team.thoughts(scenes, actions).into_iter().map(told);
         for scene in scenes.scenes {
             let mut shown = Shown::at(Glance { worlds, instance: scene.instance });
             let decided = self.decisions.is_due(scene.tasks_changed);
             shown.assign(self.team.allocation(scene.instance), decided);
-            let own: Vec<_> = thoughts.by_ref().take(shown.state.agents.len()).map(Some).collect();
+            let agents = shown.state.agents.len();
+            let own =
+                thoughts.by_ref().take(agents).map(|it| Some(renumbered(it, self.slots, agents)));
+            let own: Vec<_> = own.collect();
             shown.state.thoughts = (!own.is_empty()).then_some(own);
             if let Some(TeamValueProbe { ask, team_max }) = &mut self.probe {
                 let values = shown
@@ -160,6 +175,14 @@ impl<T: Act + ?Sized> Act for TeamLog<'_, T> {
     fn allocation(&self, instance: usize) -> &[u8] {
         self.team.allocation(instance)
     }
+}
+
+/// Observations have rows for agents that do not exist; pages do not.
+fn renumbered(mut thought: Thought, slots: usize, agents: usize) -> Thought {
+    for attended in thought.attention.iter_mut().filter(|it| it.entity >= slots) {
+        attended.entity -= slots - agents;
+    }
+    thought
 }
 
 /// A thought as pages have it.
