@@ -74,11 +74,7 @@ impl Captured {
     pub fn give_thoughts(&mut self, thoughts: Vec<Thought>) {
         let mut thoughts = thoughts.into_iter();
         for state in &mut self.states {
-            let agents = state.agents.len();
-            let own =
-                thoughts.by_ref().take(agents).map(|it| Some(renumbered(it, self.slots, agents)));
-            let own: Vec<_> = own.collect();
-            state.thoughts = (!own.is_empty()).then_some(own);
+            state.thoughts = next_thoughts(&mut thoughts, self.slots, state.agents.len());
         }
     }
 
@@ -158,10 +154,7 @@ impl<T: Act + ?Sized> Act for TeamLog<'_, T> {
             let decided = self.decisions.is_due(scene.tasks_changed);
             shown.assign(self.team.allocation(scene.instance), decided);
             let agents = shown.state.agents.len();
-            let own =
-                thoughts.by_ref().take(agents).map(|it| Some(renumbered(it, self.slots, agents)));
-            let own: Vec<_> = own.collect();
-            shown.state.thoughts = (!own.is_empty()).then_some(own);
+            shown.state.thoughts = next_thoughts(&mut thoughts, self.slots, agents);
             if let Some(TeamValueProbe { ask, team_max }) = &mut self.probe {
                 let values = shown
                     .team_values(*team_max, 0, |task, teams| ask(worlds, scene.state, task, teams));
@@ -177,12 +170,21 @@ impl<T: Act + ?Sized> Act for TeamLog<'_, T> {
     }
 }
 
-/// Observations have rows for agents that do not exist; pages do not.
-fn renumbered(mut thought: Thought, slots: usize, agents: usize) -> Thought {
-    for attended in thought.attention.iter_mut().filter(|it| it.entity >= slots) {
-        attended.entity -= slots - agents;
-    }
-    thought
+/// The next thoughts, one for each agent; none where nobody thinks. Observations have rows for agents that do not exist,
+/// `slots` in all; pages do not.
+fn next_thoughts(
+    thoughts: &mut impl Iterator<Item = Thought>,
+    slots: usize,
+    agents: usize,
+) -> Option<Vec<Option<Thought>>> {
+    let renumbered = |mut thought: Thought| {
+        for attended in thought.attention.iter_mut().filter(|it| it.entity >= slots) {
+            attended.entity -= slots - agents;
+        }
+        Some(thought)
+    };
+    let own: Vec<_> = thoughts.take(agents).map(renumbered).collect();
+    (!own.is_empty()).then_some(own)
 }
 
 /// A thought as pages have it.
