@@ -20,7 +20,6 @@ use crate::state::State;
 pub use episodes::{Onlooker, Start, WORLDS, Watched, evaluate, evaluate_watched, watch};
 pub use planner::{Planner, PlannerReport};
 pub use teams::{PolicyTeam, RandomTeam};
-pub(crate) use teams::{mask, write_rows};
 
 /// Instances that are played to learn from.
 pub struct Play {

@@ -3,7 +3,7 @@
 use sortie_core::policy::{NO_ACTION, Observation as Seen, Policy};
 use sortie_core::{DecideError, EntityMask};
 use sortie_envs::random::{generator, member};
-use sortie_envs::{EntitySet, Observation, Random, Shape};
+use sortie_envs::{EntitySet, Observation, Random};
 
 use crate::act::{Act, Scenes};
 use crate::error::LearnError;
@@ -40,7 +40,13 @@ impl<P: Policy> PolicyTeam<P> {
         let (environment, scene) = (scenes.environment, scenes.scenes[scene]);
         let shape = environment.spec().shape;
         environment.observe(scene.state, 0, EntitySet::MAX, seen);
-        write_rows(seen, &shape, rows);
+        rows.clear();
+        rows.resize(shape.entities * shape.features, 0.0);
+        for (entity, row) in rows.chunks_exact_mut(shape.features).enumerate() {
+            if seen.entities >> entity & 1 == 1 {
+                seen.rows.write_dense(seen.row_of(entity), row);
+            }
+        }
         available.clear();
         for actions in &seen.available {
             available.extend((0..shape.actions).map(|action| (actions >> action & 1) as u16));
@@ -88,18 +94,7 @@ impl<P: Policy> Act for PolicyTeam<P> {
     }
 }
 
-/// A row for every entity, zeros where none was observed: as frames have them.
-pub(crate) fn write_rows(seen: &Observation, shape: &Shape, rows: &mut Vec<f32>) {
-    rows.clear();
-    rows.resize(shape.entities * shape.features, 0.0);
-    for (entity, row) in rows.chunks_exact_mut(shape.features).enumerate() {
-        if seen.entities >> entity & 1 == 1 {
-            seen.rows.write_dense(seen.row_of(entity), row);
-        }
-    }
-}
-
-pub(crate) fn mask(entities: EntitySet) -> EntityMask {
+fn mask(entities: EntitySet) -> EntityMask {
     EntityMask::from_words(&[entities as u64, (entities >> 64) as u64])
 }
 

@@ -2,11 +2,10 @@
 
 use sortie_core::policy::{NO_ACTION as NO_ACTION_YET, Observation, Policy, visible};
 use sortie_core::{DecideError, EntityMask};
-use sortie_envs::{ActionSet, Random, UNASSIGNED};
+use sortie_envs::{ActionSet, Random, UNASSIGNED, members};
 
 use super::{Agents, AllocatedScene, NO_ACTION};
 use crate::error::LearnError;
-use crate::play::{mask, write_rows};
 use crate::random::{Purpose, generator};
 
 /// What the agents of a scene are shown under the subtask mask: a row for every entity, as in frames, of which each sees those
@@ -29,8 +28,14 @@ impl MaskedViews {
         let (seen, agents) = (scene.seen, scene.seen.agents());
         let shape = scene.environment.spec().shape;
         self.features = shape.features;
-        write_rows(seen, &shape, &mut self.rows);
-        self.present = mask(seen.present);
+        self.rows.clear();
+        self.rows.resize(shape.entities * shape.features, 0.0);
+        for entity in members(seen.present) {
+            let row = &mut self.rows[entity * shape.features..][..shape.features];
+            seen.rows.write_dense(seen.row_of(entity), row);
+        }
+        let words = [seen.present as u64, (seen.present >> 64) as u64];
+        self.present = EntityMask::from_words(&words);
         let widen =
             |action: &u8| if *action == NO_ACTION { NO_ACTION_YET } else { (*action).into() };
         self.last_actions.clear();
