@@ -24,6 +24,9 @@ pub struct Targets {
 }
 
 impl Targets {
+    /// No action aims at an entity.
+    pub const NONE: Self = Self { first: 0, count: 0, first_pair: 0, pair_features: 0 };
+
     /// What actions aim at in an environment.
     pub fn of(spec: &Spec) -> Self {
         let (count, pair_features) = (spec.targets.len(), spec.pair_features());
@@ -83,7 +86,7 @@ crate::words! {
 impl AimedHead {
     /// What it points at in an environment.
     pub fn targets(self, spec: &Spec) -> Targets {
-        if self == Self::Pointing { Targets::of(spec) } else { Targets::default() }
+        if self == Self::Pointing { Targets::of(spec) } else { Targets::NONE }
     }
 }
 

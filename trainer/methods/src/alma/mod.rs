@@ -91,6 +91,7 @@ fn is_windows(own: &Table) -> bool {
 /// Runs that do not say whether embeddings skip the attention, and whether heads point, began when none did.
 fn settle_older(run: &mut Table) {
     if is_windows(run) {
+        settle_head(run, "low_level");
         return;
     }
     for path in [&["network"][..], &["allocator", "network"]] {
@@ -101,7 +102,11 @@ fn settle_older(run: &mut Table) {
             section.entry("skip").or_insert(false.into());
         }
     }
-    if let Some(network) = run.get_mut("network").and_then(toml::Value::as_table_mut) {
+    settle_head(run, "network");
+}
+
+fn settle_head(run: &mut Table, section: &str) {
+    if let Some(network) = run.get_mut(section).and_then(toml::Value::as_table_mut) {
         network.entry("head").or_insert("numbered".into());
     }
 }

@@ -128,7 +128,7 @@ const SHAPE: NetworkShape = NetworkShape {
         actions: ACTIONS,
         skip: false,
         memory: 8,
-        targets: Targets { first: 0, count: 0, first_pair: 0, pair_features: 0 },
+        targets: Targets::NONE,
     },
     mixer: MixerShape {
         kind: MixerKind::Qmix,

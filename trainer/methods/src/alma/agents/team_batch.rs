@@ -298,11 +298,7 @@ mod tests {
     use super::*;
 
     const FEATURES: usize = 3;
-    const COLUMNS: Columns = Columns {
-        features: FEATURES,
-        actions: 5,
-        targets: Targets { first: 0, count: 0, first_pair: 0, pair_features: 0 },
-    };
+    const COLUMNS: Columns = Columns { features: FEATURES, actions: 5, targets: Targets::NONE };
 
     /// Agents of four slots that exist, and two things, one for each subtask; row e is e + 1 in column 0.
     fn seen(agents: usize) -> Observation {

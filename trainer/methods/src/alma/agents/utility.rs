@@ -193,7 +193,7 @@ mod tests {
         base: 3,
         actions: 2,
         skip: false,
-        targets: Targets { first: 0, count: 0, first_pair: 0, pair_features: 0 },
+        targets: Targets::NONE,
     };
     const SKIPPING: UtilityShape = UtilityShape { skip: true, ..SHAPE };
 

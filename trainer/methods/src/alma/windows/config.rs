@@ -3,6 +3,7 @@
 use sortie_envs::Spec;
 use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Text, Truth, Whole};
 use sortie_learn::configuration::{SHARE, STEPS, require};
+use sortie_learn::networks::AimedHead;
 use sortie_learn::session::{EnvironmentChoice, Setup};
 use sortie_learn::{LearnError, section, sections, words};
 use sortie_nn::schedule::linear;
@@ -49,6 +50,9 @@ sections! {
         active_inputs: f32 = 0.0, WEIGHT, "columns";
         /// Whether the own row's embedding is added to what the attention gives, past it; not in the dissertation.
         skip: bool = false, Truth;
+        /// What values actions that are aimed at entities: a vector that points at their embeddings, or weights of each
+        /// action's own, for which an entity is its number.
+        head: AimedHead = AimedHead::Pointing, OneOf(AimedHead::WORDS);
         // A gated recurrent unit before the head, which begins empty in every window.
         /// Whether the agents have a memory, emptied when an episode ends.
         recurrent: bool = false, Truth;
@@ -260,7 +264,7 @@ impl Config {
 
     /// The shape of the agents' network in an environment.
     pub fn agents(&self, spec: &Spec) -> UtilityShape {
-        self.low_level.shape(WindowShape::of(spec.shape))
+        self.low_level.shape(WindowShape::of(spec))
     }
 
     /// Whether the run learns an allocator; without subtasks there is nothing to allocate.

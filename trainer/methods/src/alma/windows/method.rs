@@ -60,7 +60,7 @@ pub struct WindowLearner {
 impl WindowLearner {
     /// Draws the first weights, for such an environment.
     pub fn new(config: &Config, spec: &Spec, seed: u64, threads: usize) -> Self {
-        let sizes = WindowShape::of(spec.shape);
+        let sizes = WindowShape::of(spec);
         let mut weights = generator(seed, Purpose::Weights, 0);
         let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
         if config.coach.enabled {

@@ -18,7 +18,8 @@ mod sampling;
 use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
-use sortie_envs::Shape;
+use sortie_envs::{Shape, Spec};
+use sortie_learn::networks::Targets;
 use sortie_nn::layers::SparseRows;
 
 pub use config::{Config, Exploration};
@@ -51,13 +52,16 @@ pub struct WindowShape {
     pub actions: usize,
     /// Features d of an entity, without its last action.
     pub features: usize,
+    /// What actions aim at.
+    pub targets: Targets,
 }
 
 impl WindowShape {
     /// Sizes of an environment, as a batch of no windows.
-    pub fn of(shape: Shape) -> Self {
-        let Shape { agents, entities, tasks, actions, features } = shape;
-        Self { windows: 0, steps: 0, agents, entities, tasks, actions, features }
+    pub fn of(spec: &Spec) -> Self {
+        let Shape { agents, entities, tasks, actions, features } = spec.shape;
+        let targets = Targets::of(spec);
+        Self { windows: 0, steps: 0, agents, entities, tasks, actions, features, targets }
     }
 
     /// States of all windows, W S.

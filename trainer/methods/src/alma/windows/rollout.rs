@@ -186,11 +186,15 @@ mod tests {
     use sortie_learn::play::Play;
     use sortie_learn::random::{Purpose, generator};
     use sortie_learn::run::EpisodeCounts;
+    use sortie_learn::session::EnvironmentChoice;
+
+    const CITY: &str = "save-the-city/2-5a_2-5b";
 
     /// Small networks, and agents that act at random half of the time.
     fn config(by: &str, instances: usize, episode_limit: i64) -> Config {
         let mut config = Config::default();
         config.allocation.by = by.to_owned();
+        config.environment.name = CITY.to_owned();
         config.environment.instances = instances;
         config.environment.settings.insert("episode_limit".into(), episode_limit.into());
         (config.low_level.width, config.low_level.base) = (8, 8);
@@ -200,8 +204,8 @@ mod tests {
 
     /// Where a run learns.
     fn city(config: &Config) -> Box<dyn Environment> {
-        let settings = &config.environment.settings;
-        sortie_envs::open("save-the-city/2-5a_2-5b", Split::Train, 1, settings).unwrap()
+        let EnvironmentChoice { name, settings, .. } = &config.environment;
+        sortie_envs::open(name, Split::Train, 1, settings).unwrap()
     }
 
     /// What there is to see in a state of an episode.
@@ -284,15 +288,24 @@ mod tests {
         }
     }
 
+    /// In a battle heads point, and know of pairs what rows do not show.
     #[test]
     fn agents_see_in_windows_what_they_saw_when_they_acted() {
-        for (conditioning, recurrent) in [
-            (Conditioning::Mask, false),
-            (Conditioning::Input, false),
-            (Conditioning::None, false),
-            (Conditioning::Mask, true),
+        const BATTLE: &str = "skirmish/6-8sz-symmetric";
+        for (name, conditioning, recurrent) in [
+            (CITY, Conditioning::Mask, false),
+            (CITY, Conditioning::Input, false),
+            (CITY, Conditioning::None, false),
+            (CITY, Conditioning::Mask, true),
+            (BATTLE, Conditioning::Mask, false),
+            (BATTLE, Conditioning::Input, true),
         ] {
             let mut config = config("random", 2, 20);
+            if name == BATTLE {
+                config.environment.settings.clear();
+                config.allocation.by = "matching".to_owned();
+            }
+            config.environment.name = name.to_owned();
             config.low_level.recurrent = recurrent;
             config.low_level.conditioning = conditioning;
             let WindowLearner { low_level: level, replay, .. } =
@@ -300,19 +313,20 @@ mod tests {
             let mut weights = generator(1, Purpose::Weights, 0);
 
             let shaping = Shaping::default();
-            let sample = SampleShape { windows: 2, steps: 64, shaping };
+            let sample = SampleShape { windows: 2, steps: 160, shaping };
             let city = city(&config);
             let windows = cut_windows(&*city, &replay, &[0, 1], sample, &mut weights);
-            let order = TaskOrder::identity(6);
+            let (order, slots) = (TaskOrder::identity(6), windows.shape.agents);
+            assert_eq!(level.shape().targets.count > 0, name == BATTLE);
             let in_windows = agent_utilities(level.players(), &windows, conditioning, &order);
             let mut players = Players::new(conditioning);
             let mut compared = 0;
             for (world, episode) in replay.episodes().iter().enumerate() {
-                let mut last_actions = vec![NO_ACTION; 5];
+                let mut last_actions = vec![NO_ACTION; slots];
                 for state in 0..episode.steps() {
                     let act = |_: usize, agent: usize, utilities: &[f32]| {
                         let WindowShape { steps, actions, .. } = windows.shape;
-                        let at = ((world * steps + state) * 5 + agent) * actions;
+                        let at = ((world * steps + state) * slots + agent) * actions;
                         for (acted, learned) in utilities.iter().zip(&in_windows[at..]) {
                             assert!((acted - learned).abs() < 1e-5, "{acted} {learned}");
                         }
@@ -327,7 +341,7 @@ mod tests {
                         last_actions: &last_actions,
                         strategies: &[],
                     };
-                    players.act(level.players(), &[scene], 5, act).unwrap();
+                    players.act(level.players(), &[scene], slots, act).unwrap();
                     last_actions.copy_from_slice(episode.actions(state));
                 }
             }

@@ -1,5 +1,6 @@
 //! The allocation networks and one step of their learner against the reference's.
 
+use sortie_learn::networks::Targets;
 use sortie_learn::random::{Purpose, generator};
 use sortie_methods::alma::windows::allocation::{
     AllocationCritic, AllocationLearning, AllocationLevel, AllocationNetworks, AllocationPolicy,
@@ -136,6 +137,7 @@ fn states(case: &Case, agents: usize) -> States {
         tasks,
         actions: 0,
         features: width,
+        targets: Targets::NONE,
     });
     windows.features.clear();
     entities.f32s().chunks(width).for_each(|row| windows.features.push_dense(row));

@@ -97,6 +97,7 @@ pub(crate) fn states(case: &Case, agents: usize, actions: usize) -> Windows {
         tasks,
         actions,
         features: width - actions,
+        targets: Targets::NONE,
     });
     windows.features.clear();
     entities.f32s().chunks(width).for_each(|row| windows.features.push_dense(row));

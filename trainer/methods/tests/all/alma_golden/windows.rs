@@ -3,6 +3,7 @@
 //! The reference's masks say what is absent, blocked or no member; they are turned round here. Its last
 //! actions reach over the end of an episode, which is kept, so that the steps agree.
 
+use sortie_learn::networks::Targets;
 use sortie_methods::alma::windows::{NO_TASK, WindowShape, Windows};
 
 use crate::files::{Case, safetensors_case};
@@ -19,6 +20,7 @@ pub(crate) fn windows(case: &Case) -> Windows {
         tasks: sizes("in/task_mask")[2],
         actions: sizes("in/avail_actions")[3],
         features: entities[3],
+        targets: Targets::NONE,
     };
     let numbers = |name: &str| &case.get(name).data;
     let yes = |name: &str| numbers(name).iter().map(|v| *v != 0.0).collect::<Vec<_>>();

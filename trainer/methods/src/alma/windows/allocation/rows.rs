@@ -209,6 +209,7 @@ pub(super) fn team_size(allocation: &[u8], task: u8) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sortie_learn::networks::Targets;
 
     const RULES: RowRules = RowRules { interval: 2.0, most: 400, age_limit: 100.0 };
 
@@ -222,6 +223,7 @@ mod tests {
             tasks: 1,
             actions: 1,
             features: 1,
+            targets: Targets::NONE,
         });
         windows.has_transition[..7].fill(true);
         windows.reward.fill(1.0);

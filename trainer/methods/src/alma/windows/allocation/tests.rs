@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use rand_core::Rng;
 use sortie_envs::random::{below, chance};
+use sortie_learn::networks::Targets;
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Parameters, Tape, Tensor};
@@ -36,6 +37,7 @@ fn some_windows() -> Windows {
         tasks: TASKS,
         actions: 1,
         features: SHAPE.features,
+        targets: Targets::NONE,
     });
     windows.features.clear();
     for index in 0..STATES {
@@ -286,6 +288,7 @@ fn matching(random: &mut Generator, episodes: usize) -> Windows {
         tasks: 3,
         actions: 1,
         features: 4,
+        targets: Targets::NONE,
     });
     windows.features.clear();
     windows.present.fill(true);

@@ -8,7 +8,7 @@ use sortie_nn::random::Generator;
 use sortie_nn::tape::{Gru, Parameters, Pass, Var};
 
 use super::teams::{Look, Teams};
-use crate::alma::agents::{Looked, UtilityInput, UtilityLayers};
+use crate::alma::agents::{UtilityInput, UtilityLayers};
 use crate::alma::teams::Agents;
 use crate::alma::windows::WindowShape;
 use crate::alma::windows::config::LowLevelConfig;
@@ -56,30 +56,20 @@ impl AgentLayers {
         teams: &mut Teams,
         told: Option<Var>,
     ) -> Var {
+        if let Some(unit) = self.unit {
+            return self.remembering(t, unit, look, teams);
+        }
         let mut input = UtilityInput::default();
-        let mut looked = match self.unit {
-            Some(unit) => self.remembered(t, unit, look, teams),
-            None => self.look(t, look, teams, &mut input),
-        };
+        teams.write_agents(look, &mut input);
+        let mut looked = self.network.look(t, &input);
         if let Some(told) = told {
             looked.base = t.add(looked.base, told);
         }
         self.network.head(t, looked, &input)
     }
 
-    fn look(
-        self,
-        t: &mut Pass<'_>,
-        look: Look<'_>,
-        teams: &mut Teams,
-        input: &mut UtilityInput,
-    ) -> Looked {
-        teams.write_agents(look, input);
-        self.network.look(t, input)
-    }
-
-    /// What the agents of some teams remember, `[agents, R]`: all agents go through all steps of the window.
-    fn remembered(self, t: &mut Pass<'_>, unit: Gru, look: Look<'_>, wanted: &Teams) -> Looked {
+    /// The utilities of agents with a memory: all agents go through all steps of the window.
+    fn remembering(self, t: &mut Pass<'_>, unit: Gru, look: Look<'_>, wanted: &Teams) -> Var {
         let (windows, slots) = (look.windows, look.windows.shape.agents);
         let steps = windows.shape.steps;
         let sequence = look.in_view(look.view.sequence());
@@ -94,15 +84,20 @@ impl AgentLayers {
             let last = seen > first && windows.reset[seen - 1];
             carry.extend((0..slots).map(|agent| !last && scene.present(agent)));
         }
-        let mut looked = self.look(t, sequence, &mut everybody, &mut UtilityInput::default());
+        let mut input = UtilityInput::default();
+        everybody.write_agents(sequence, &mut input);
+        let mut looked = self.network.look(t, &input);
         let place = |(state, agent): (usize, usize)| ((state - first) * slots + agent) as u32;
         let places: Vec<u32> = everybody.agents().map(place).collect();
         let inputs = t.scatter(looked.base, &places, count * slots);
         let memories = t.gru(inputs, unit, &carry, &mut vec![0.0; slots * unit.width]);
 
         let ahead = look.view.ahead() - ahead;
+        // Heads that point do so at the rows of all who look.
+        looked.base = t.gather(memories, &places);
+        let utilities = self.network.head(t, looked, &input);
+        let utilities = t.scatter(utilities, &places, count * slots);
         let wanted = wanted.agents().map(|(state, agent)| place((state + ahead, agent)));
-        looked.base = t.gather(memories, &wanted.collect::<Vec<_>>());
-        looked
+        t.gather(utilities, &wanted.collect::<Vec<_>>())
     }
 }

@@ -206,7 +206,8 @@ impl<'a> Step<'a> {
     where
         'a: 'o,
     {
-        Look::new((self.windows, view), self.config.conditioning, order)
+        let targets = self.config.targets(self.windows.shape);
+        Look::new((self.windows, view), (self.config.conditioning, order), targets)
     }
 
     /// Adds the terms of some states of a window to a lane, with their targets.

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use sortie_envs::EntitySet;
+use sortie_learn::networks::Targets;
 use sortie_nn::layers::SparseRows;
 
 use super::mixer::MixerInput;
@@ -17,10 +19,6 @@ pub(super) struct Scene<'a> {
     /// Whose subtasks and allocation hold.
     tasks_of: usize,
 }
-
-/// The columns that mark an entity's subtask: the one of subtask t stands at place t, counted from the
-/// first behind features and last action.
-pub(super) type Marks<'a> = Option<&'a [u16]>;
 
 impl Scene<'_> {
     pub(super) fn present(self, entity: usize) -> bool {
@@ -43,22 +41,9 @@ impl Scene<'_> {
         self.windows.observable[row * shape.entities + entity] && self.present(entity)
     }
 
-    /// Adds the row of an entity: its features, its last action's one-hot, its subtask's mark.
-    pub(super) fn write(self, entity: usize, marks: Marks<'_>, rows: &mut SparseRows) {
-        let shape = self.windows.shape;
-        for (column, value) in self.windows.features.row(self.state * shape.entities + entity) {
-            rows.push(column, value);
-        }
-        if entity < shape.agents {
-            let last = self.windows.last_actions[self.state * shape.agents + entity];
-            if last != NO_ACTION {
-                rows.push(shape.features + usize::from(last), 1.0);
-            }
-        }
-        if let Some(column) = marks.and_then(|marks| marks.get(usize::from(self.task(entity)))) {
-            rows.push(shape.features + shape.actions + usize::from(*column), 1.0);
-        }
-        rows.end_row();
+    /// The features of an entity.
+    fn features(self, entity: usize) -> impl Iterator<Item = (usize, f32)> {
+        self.windows.features.row(self.state * self.windows.shape.entities + entity)
     }
 }
 
@@ -84,14 +69,13 @@ impl Places {
     /// The row of an entity, which is added where it has none.
     pub(super) fn row(
         &mut self,
-        scene: Scene<'_>,
-        entity: usize,
-        marks: Marks<'_>,
+        look: Look<'_>,
+        (scene, entity): (Scene<'_>, usize),
         rows: &mut SparseRows,
     ) -> usize {
         if self.rows[entity] == NOWHERE {
             self.rows[entity] = rows.len() as u32;
-            scene.write(entity, marks, rows);
+            look.write(scene, entity, rows);
         }
         self.rows[entity] as usize
     }
@@ -158,18 +142,43 @@ pub(super) struct Look<'a> {
     pub(super) windows: &'a Windows,
     pub(super) view: View,
     conditioning: Conditioning,
-    marks: Marks<'a>,
+    /// The columns that mark an entity's subtask: the one of subtask t stands at place t, counted from the
+    /// first behind features and last action.
+    marks: Option<&'a [u16]>,
+    /// What heads point at.
+    targets: Targets,
 }
 
 impl<'a> Look<'a> {
-    /// With the marks of this order, where entities are marked.
+    /// With the marks of this order, where entities are marked, for heads that point at these.
     pub(super) fn new(
         (windows, view): (&'a Windows, View),
-        conditioning: Conditioning,
-        order: &'a TaskOrder,
+        (conditioning, order): (Conditioning, &'a TaskOrder),
+        targets: Targets,
     ) -> Self {
         let marks = (conditioning == Conditioning::Input).then_some(&*order.0);
-        Self { windows, view, conditioning, marks }
+        Self { windows, view, conditioning, marks, targets }
+    }
+
+    /// Adds the row of an entity: its features, its last action's one-hot, its subtask's mark.
+    ///
+    /// How an agent stands to what it may aim at is left out: it would tell of what the agent does not see.
+    fn write(self, scene: Scene<'_>, entity: usize, rows: &mut SparseRows) {
+        let shape = scene.windows.shape;
+        let pairs = if entity < shape.agents { self.targets.pairs() } else { 0..0 };
+        let own = scene.features(entity).filter(|(column, _)| !pairs.contains(column));
+        own.for_each(|(column, value)| rows.push(column, value));
+        if entity < shape.agents {
+            let last = scene.windows.last_actions[scene.state * shape.agents + entity];
+            if last != NO_ACTION {
+                rows.push(shape.features + usize::from(last), 1.0);
+            }
+        }
+        let mark = self.marks.and_then(|marks| marks.get(usize::from(scene.task(entity))));
+        if let Some(column) = mark {
+            rows.push(shape.features + shape.actions + usize::from(*column), 1.0);
+        }
+        rows.end_row();
     }
 
     /// The same in another view.
@@ -235,22 +244,28 @@ impl Teams {
     /// Writes what the agents see: with the subtask mask only those of their subtask.
     pub(super) fn write_agents(&mut self, look: Look<'_>, input: &mut UtilityInput) {
         input.clear();
+        input.aims.aim_at(look.targets.entities(), look.targets.pairs());
         for (state, agent) in self.agents() {
-            look.view.of(look.windows, state).write(agent, look.marks, &mut input.rows);
+            look.write(look.view.of(look.windows, state), agent, &mut input.rows);
         }
         let Self { teams, agents, places } = self;
+        let masked = look.conditioning == Conditioning::Mask;
         for scene_teams in teams.chunk_by(|a, b| a.state == b.state) {
             let (scene, own) = begin(look, scene_teams, agents, places);
             for agent in own.iter().copied().map(usize::from) {
-                let masked = look.conditioning == Conditioning::Mask;
+                let mut seen: EntitySet = 0;
                 for entity in 0..look.windows.shape.entities {
                     if scene.observes(agent, entity) && (!masked || scene.share_task(agent, entity))
                     {
-                        let row = places.row(scene, entity, look.marks, &mut input.rows);
+                        let row = places.row(look, (scene, entity), &mut input.rows);
                         input.visible.push(row);
+                        seen |= 1 << entity;
                     }
                 }
+                let query = input.visible.queries() as u32;
                 input.visible.end_list();
+                let row = |entity: usize| places.rows[entity] as usize;
+                input.aims.push((query, scene.features(agent)), seen, row);
             }
         }
     }
@@ -261,7 +276,7 @@ impl Teams {
         input.rows.clear();
         input.teams.clear();
         for (state, agent) in self.agents() {
-            look.view.of(look.windows, state).write(agent, look.marks, &mut input.rows);
+            look.write(look.view.of(look.windows, state), agent, &mut input.rows);
         }
         let Self { teams, agents, places } = self;
         for scene_teams in teams.chunk_by(|a, b| a.state == b.state) {
@@ -269,7 +284,7 @@ impl Teams {
             for team in scene_teams {
                 for entity in 0..look.windows.shape.entities {
                     if scene.present(entity) && look.belongs(scene, entity, team.task) {
-                        let row = places.row(scene, entity, look.marks, &mut input.rows);
+                        let row = places.row(look, (scene, entity), &mut input.rows);
                         input.teams.push(row);
                     }
                 }

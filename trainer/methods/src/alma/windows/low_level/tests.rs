@@ -1,6 +1,7 @@
 use std::collections::BTreeMap;
 
 use sortie_envs::random::{below, chance};
+use sortie_learn::networks::Targets;
 use sortie_nn::gradient_check::assert_gradient;
 use sortie_nn::layers::SparseRows;
 use sortie_nn::random::signed_unit;
@@ -11,8 +12,16 @@ use crate::alma::records::config::ReturnsConfig;
 use crate::alma::windows::{NO_ACTION, NO_TASK};
 use sortie_learn::random::{Purpose, generator};
 
-pub(super) const SIZES: WindowShape =
-    WindowShape { windows: 6, steps: 9, agents: 3, entities: 6, tasks: 3, actions: 4, features: 5 };
+pub(super) const SIZES: WindowShape = WindowShape {
+    windows: 6,
+    steps: 9,
+    agents: 3,
+    entities: 6,
+    tasks: 3,
+    actions: 4,
+    features: 5,
+    targets: Targets::NONE,
+};
 
 pub(super) fn config(conditioning: Conditioning) -> LowLevelConfig {
     LowLevelConfig {

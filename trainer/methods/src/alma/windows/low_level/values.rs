@@ -8,7 +8,7 @@
 
 use std::ops::Range;
 
-use sortie_learn::networks::Targets;
+use sortie_learn::networks::{AimedHead, Targets};
 use sortie_nn::tape::Tape;
 
 use super::agents::AgentLayers;
@@ -21,6 +21,11 @@ use crate::alma::windows::config::LowLevelConfig;
 use crate::alma::windows::{WindowShape, Windows};
 
 impl LowLevelConfig {
+    /// What the head points at in an environment of these sizes.
+    pub fn targets(&self, sizes: WindowShape) -> Targets {
+        if self.head == AimedHead::Pointing { sizes.targets } else { Targets::NONE }
+    }
+
     /// The sizes of the agents' network in an environment of these sizes.
     pub fn shape(&self, sizes: WindowShape) -> UtilityShape {
         let marks = self.conditioning.task_columns(sizes.tasks + self.extra_tasks);
@@ -31,7 +36,7 @@ impl LowLevelConfig {
             base: self.base,
             actions: sizes.actions,
             skip: self.skip,
-            targets: Targets::default(),
+            targets: self.targets(sizes),
         }
     }
 
@@ -74,7 +79,7 @@ pub fn agent_utilities(
     order: &TaskOrder,
 ) -> Vec<f32> {
     let (parameters, layers) = (agents.network.parameters, AgentLayers::of(agents));
-    let look = Look::new((windows, View::NOW), conditioning, order);
+    let look = Look::new((windows, View::NOW), (conditioning, order), agents.network.shape.targets);
     let WindowShape { windows: count, steps, agents, actions, .. } = windows.shape;
     let mut utilities = vec![0.0; windows.shape.states() * agents * actions];
     let mut tape = Tape::default();
@@ -112,7 +117,8 @@ pub fn team_input(
     let mut teams = teams(windows, 0..windows.shape.states(), conditioning);
     let order = TaskOrder::identity(windows.shape.tasks);
     let mut input = MixerInput::default();
-    teams.write_mixer(Look::new((windows, View::NOW), conditioning, &order), &mut input);
+    let look = Look::new((windows, View::NOW), (conditioning, &order), windows.shape.targets);
+    teams.write_mixer(look, &mut input);
     (input, teams.agents().collect())
 }
 

@@ -214,7 +214,7 @@ pub fn cut_windows(
     let episodes: Vec<&Episode> = drawn.iter().map(|index| &replay.episodes()[*index]).collect();
     let longest = episodes.iter().map(|episode| episode.states()).max().unwrap_or(0);
     let steps = sample.steps.min(longest);
-    let sizes = WindowShape::of(environment.spec().shape);
+    let sizes = WindowShape::of(environment.spec());
     let shape = WindowShape { windows: drawn.len(), steps, ..sizes };
     let mut windows = Windows::new(shape);
     windows.features.clear();
@@ -325,8 +325,9 @@ impl Writer<'_> {
         for agent in 0..seen.agents() {
             let own = state * agents + agent;
             let observable = &mut windows.observable[own * entities..][..entities];
+            // As they act and are deployed: of what shares their subtask agents see all that exists.
             for (entity, observable) in observable.iter_mut().enumerate() {
-                *observable = seen.observable[agent] >> entity & 1 == 1;
+                *observable = seen.present >> entity & 1 == 1;
             }
             let codes = &mut windows.available[own * actions..][..actions];
             for (action, code) in codes.iter_mut().enumerate() {

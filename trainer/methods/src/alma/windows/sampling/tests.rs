@@ -116,7 +116,7 @@ fn states_of_windows_show_what_their_episodes_do() {
         for agent in members(now.present & ((1 << agents) - 1)) {
             let own = state * agents + agent;
             let observable = &windows.observable[own * entities..][..entities];
-            assert!((0..entities).all(|e| observable[e] == (now.observable[agent] >> e & 1 == 1)));
+            assert!((0..entities).all(|e| observable[e] == (now.present >> e & 1 == 1)));
             let codes = &windows.available[own * actions..][..actions];
             let available = |action: usize| now.available[agent] >> action & 1;
             assert!((0..actions).all(|action| u64::from(codes[action]) == available(action)));
