@@ -72,7 +72,7 @@ impl Levels {
     pub(super) fn new(assignments: &[String], seed: u64) -> Result<Self, Failure> {
         let config = Config::of(&setup("paper", assignments)?)?;
         let environment = methods::open_environment(&config.environment)?;
-        let sizes = WindowShape::of(environment.spec().shape);
+        let sizes = WindowShape::of(environment.spec());
         let mut weights = generator(seed, Purpose::Weights, 0);
         let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
         let mut allocation = AllocationLevel::new(config.allocation_learning(sizes), seed);

@@ -178,7 +178,9 @@ impl Instance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alma::agents::{Conditioning, TaskOrder};
+    use std::ops::Range;
+
+    use crate::alma::agents::{Conditioning, TaskOrder, UtilityShape};
     use crate::alma::windows::low_level::agent_utilities;
     use crate::alma::windows::{SampleShape, Shaping, WindowLearner, WindowShape, cut_windows};
     use sortie_envs::{EntitySet, Environment, Observation, Split, Step};
@@ -308,8 +310,12 @@ mod tests {
             config.environment.name = name.to_owned();
             config.low_level.recurrent = recurrent;
             config.low_level.conditioning = conditioning;
-            let WindowLearner { low_level: level, replay, .. } =
+            let WindowLearner { low_level: mut level, replay, .. } =
                 play(&config, &mut EpisodeCounts::default());
+            // Were pairs told in rows, embeddings would differ now.
+            let UtilityShape { width, targets, .. } = level.shape();
+            let Range { start, end } = targets.pairs();
+            level.online.values[start * width..end * width].fill(0.3);
             let mut weights = generator(1, Purpose::Weights, 0);
 
             let shaping = Shaping::default();
@@ -317,7 +323,7 @@ mod tests {
             let city = city(&config);
             let windows = cut_windows(&*city, &replay, &[0, 1], sample, &mut weights);
             let (order, slots) = (TaskOrder::identity(6), windows.shape.agents);
-            assert_eq!(level.shape().targets.count > 0, name == BATTLE);
+            assert_eq!(targets.count > 0, name == BATTLE);
             let in_windows = agent_utilities(level.players(), &windows, conditioning, &order);
             let mut players = Players::new(conditioning);
             let mut compared = 0;
