@@ -21,6 +21,7 @@ cases = [
 measures = [
     { name = "twice frozen", key = "treasures", factor = 2, digits = 1 },
     { name = "learning", key = "training_treasures" },
+    { name = "elsewhere", key = "treasures", eval = "--episodes 3 --seed 9" },
 ]
 methods = [
     { name = "multi", words = "ma-exp", published = { "Task 2" = "1.83 ± 0.41" } },
@@ -103,15 +104,24 @@ fn a_figure_is_learned_once_and_laid_beside_what_was_published() {
     let picture = fs::read_to_string(folder.join("picture.svg")).expect("a picture");
     assert!(picture.contains("Task 2") && picture.contains("Flip"));
 
+    // As if it had been asked for by hand.
+    let run = folder.join("task-2/multi-s3").display().to_string();
+    let by_hand = json(&["eval", &run, "--episodes", "3", "--seed", "9", "--json"]);
+    assert!(by_hand["treasures"].is_f64(), "{by_hand}");
+    assert_eq!(rows[0]["measures"][2]["seeds"][0], by_hand["treasures"]);
+
     // What is finished is only read: a changed result shows in the table.
-    let result = folder.join("task-2/multi-s3/result.json");
-    let text = fs::read_to_string(&result).expect("a result");
-    let mut changed: serde_json::Value = serde_json::from_str(&text).expect("JSON");
-    changed["treasures"] = 100.0.into();
-    fs::write(&result, changed.to_string()).expect("a file");
+    for (file, treasures) in [("result", 100.0), ("eval-episodes-3-seed-9", 70.0)] {
+        let result = folder.join(format!("task-2/multi-s3/{file}.json"));
+        let text = fs::read_to_string(&result).expect("a result");
+        let mut changed: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        changed["treasures"] = treasures.into();
+        fs::write(&result, changed.to_string()).expect("a file");
+    }
     let again = output(&[&arguments[..], &["-q"]].concat());
     let text = String::from_utf8_lossy(&again.stdout).into_owned();
-    assert!(again.status.success() && text.contains("to 200.0)"), "{text}");
+    let shows = text.contains("to 200.0)") && text.contains("to 70.00)");
+    assert!(again.status.success() && shows, "{text}");
     let listed = output(&["reproduce", "--list", "--recipes", &recipes, "--out", &out]);
     let text = String::from_utf8_lossy(&listed.stdout).into_owned();
     assert!(text.contains("8 of 8") && text.contains("The environment is not there."), "{text}");

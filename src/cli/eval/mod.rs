@@ -87,26 +87,27 @@ pub(crate) struct EvalArguments {
     common: Common,
 }
 
+/// What an evaluation came to.
 #[derive(Serialize)]
-struct Report<'a> {
-    env: &'a str,
-    subject: &'a str,
+pub(crate) struct Report {
+    env: String,
+    subject: String,
     /// Absent where agents have no subtasks.
     #[serde(skip_serializing_if = "Option::is_none")]
-    allocation: Option<&'a str>,
+    allocation: Option<&'static str>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    allocator: Option<&'a str>,
+    allocator: Option<String>,
     /// Absent where there are several.
     #[serde(skip_serializing_if = "Option::is_none")]
     seed: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    seeds: Option<&'a BySeed>,
+    seeds: Option<BySeed>,
     #[serde(flatten)]
-    evaluation: &'a Evaluation,
+    evaluation: Evaluation,
     #[serde(skip_serializing_if = "Option::is_none")]
     planner: Option<PlannerReport>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    attention: Option<&'a Attention>,
+    attention: Option<Attention>,
 }
 
 /// How far seeds lie apart.
@@ -139,6 +140,20 @@ struct Match<'a> {
 }
 
 pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
+    let (spec, report) = evaluated(arguments)?;
+    if arguments.common.json {
+        print_json(&report);
+    } else {
+        report.print(&spec);
+    }
+    Ok(())
+}
+
+/// Plays the episodes.
+///
+/// # Errors
+/// What is to be played is not there, or does not go together.
+pub(crate) fn evaluated(arguments: &EvalArguments) -> Result<(Spec, Report), Failure> {
     arguments.backend.prepare()?;
     let subject = Subject::find(&arguments.subject)?;
     let set = subject.scenario_set(arguments.env.as_deref())?;
@@ -171,8 +186,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
     let playing = Match { arguments, subject, set, environment, bar };
     let played = if is_allocated { playing.play_allocated(seeds) } else { playing.play(seeds) }?;
     playing.bar.finish_and_clear();
-    playing.report(&played);
-    Ok(())
+    Ok((playing.environment.spec().clone(), playing.report(played)))
 }
 
 /// Refuses flags that would do nothing.
@@ -326,51 +340,46 @@ impl Match<'_> {
         Ok(evaluate_watched(&*self.environment, team, episodes, seed, &mut counted)?)
     }
 
-    /// Prints what all seeds come to.
-    fn report(&self, played: &Played) {
+    /// What all seeds come to.
+    fn report(&self, played: Played) -> Report {
         let Self { arguments, set, .. } = self;
         let Played { evaluations, allocation, planner, attention } = played;
-        let parts: Vec<Evaluation> = evaluations.iter().map(|(_, one)| one.clone()).collect();
-        let evaluation = match &parts[..] {
-            [one] => one.clone(),
-            parts => Evaluation::pooled(parts),
-        };
-        let by_seed = arguments.seeds.map(|_| BySeed::of(evaluations));
-        if arguments.common.json {
-            let allocator = arguments.allocator.as_ref().map(|path| path.to_string_lossy());
-            print_json(&Report {
-                env: &set.to_string(),
-                subject: &arguments.subject.to_string_lossy(),
-                allocation: *allocation,
-                allocator: allocator.as_deref(),
-                seed: by_seed.is_none().then_some(arguments.common.seed),
-                seeds: by_seed.as_ref(),
-                evaluation: &evaluation,
-                planner: *planner,
-                attention: attention.as_ref(),
-            });
-            return;
+        let seeds = arguments.seeds.map(|_| BySeed::of(&evaluations));
+        let mut parts: Vec<Evaluation> = evaluations.into_iter().map(|(_, one)| one).collect();
+        let evaluation =
+            if parts.len() == 1 { parts.remove(0) } else { Evaluation::pooled(&parts) };
+        Report {
+            env: set.to_string(),
+            subject: arguments.subject.to_string_lossy().into_owned(),
+            allocation,
+            allocator: arguments.allocator.as_ref().map(|path| path.display().to_string()),
+            seed: seeds.is_none().then_some(arguments.common.seed),
+            seeds,
+            evaluation,
+            planner,
+            attention,
         }
+    }
+}
+
+impl Report {
+    fn print(&self, spec: &Spec) {
+        let Self { env, subject, allocation, allocator, evaluation, .. } = self;
         let under = match allocation {
             None => String::new(),
             Some("none") => " without allocation".to_owned(),
             Some(name) => format!(" under {name} allocation"),
         };
-        let of = arguments.allocator.as_ref().map(|path| format!(" of {}", path.display()));
-        say!(
-            "{set}: {}{under}{}, {}",
-            arguments.subject.display(),
-            of.unwrap_or_default(),
-            plural(evaluation.episodes, "episode")
-        );
-        if let Some(PlannerReport { candidates, decisions, changed, .. }) = planner {
+        let of = allocator.as_ref().map(|path| format!(" of {path}")).unwrap_or_default();
+        say!("{env}: {subject}{under}{of}, {}", plural(evaluation.episodes, "episode"));
+        if let Some(PlannerReport { candidates, decisions, changed, .. }) = self.planner {
             say!(
                 "planned with the exact simulator, {candidates} candidates: no learned policy, but a yardstick \
                  ({changed} of {decisions} decisions changed)"
             );
         }
-        print_tables(&evaluation, self.environment.spec(), by_seed.as_ref());
-        attention.iter().for_each(Attention::print);
+        print_tables(evaluation, spec, self.seeds.as_ref());
+        self.attention.iter().for_each(Attention::print);
     }
 }
 

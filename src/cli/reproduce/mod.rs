@@ -7,16 +7,18 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::files::{MOST_TEXT_BYTES, read_text};
+use sortie_ipc::Stop;
 use sortie_learn::report::chart::{self, Bar, Bars};
 use sortie_learn::report::{self, Comparison, Group, RunRecord, Spread};
 use sortie_learn::session::Setup;
 
+use crate::eval::evaluated;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::write_output;
 use crate::output::{Common, Table, plural, print_json, say, tell};
 use crate::seeds::SeedRange;
 use crate::terminal::{bar, stop_on_signals};
-use crate::train::{Sweep, learn_all, run_folder, suffixed};
+use crate::train::{Sweep, check_stop, learn_all, run_folder, suffixed};
 use recipe::{Came, Case, Figure, Measured, Method, OWN, Recipes, Row, slug};
 
 /// Redo a figure or table of the dissertation: learn what is missing, and lay it beside what was published
@@ -164,7 +166,9 @@ fn reproduce(figure: &Figure, arguments: &ReproduceArguments) -> Outcome {
     let seeds = figure.seeds(arguments.seeds)?;
     let folder = arguments.out.join(&figure.name);
     let parts = parts(figure, &seeds, &folder)?;
-    learn(&parts, arguments.common)?;
+    let stop = stop_on_signals()?;
+    learn(&parts, &stop, arguments.common)?;
+    measure_again(figure, &parts, &stop, arguments.common)?;
     let groups = groups(figure, &parts)?;
     let came = came(figure, &seeds, &groups)?;
     let files = write(figure, &folder, &came, &groups)?;
@@ -182,8 +186,7 @@ fn reproduce(figure: &Figure, arguments: &ReproduceArguments) -> Outcome {
 }
 
 /// Learns what is missing.
-fn learn(parts: &[Part<'_>], common: Common) -> Outcome {
-    let stop = stop_on_signals()?;
+fn learn(parts: &[Part<'_>], stop: &Stop, common: Common) -> Outcome {
     let quiet = Common { quiet: true, json: false, ..common };
     let sweeps: Vec<Sweep<'_>> = parts.iter().map(|part| part.sweep(quiet)).collect();
     let seeds = || {
@@ -200,7 +203,26 @@ fn learn(parts: &[Part<'_>], common: Common) -> Outcome {
     }
     let jobs: Vec<_> = seeds().collect();
     let bar = bar(common, jobs.len() as u64, "runs");
-    learn_all(&jobs, 1, &stop, || bar.inc(1))?;
+    learn_all(&jobs, 1, stop, || bar.inc(1))?;
+    bar.finish_and_clear();
+    Ok(())
+}
+
+/// Plays what measures ask for beside the evaluation that ended a run, where that was not done yet.
+fn measure_again(figure: &Figure, parts: &[Part<'_>], stop: &Stop, common: Common) -> Outcome {
+    let runs = parts
+        .iter()
+        .flat_map(|part| part.seeds.iter().map(|seed| run_folder(&part.out, *seed)))
+        .flat_map(|run| figure.measures.iter().map(move |measure| measure.again(&run)));
+    let asked = runs.collect::<Result<Vec<_>, _>>()?;
+    let missing: Vec<_> = asked.into_iter().flatten().filter(|(_, file)| !file.exists()).collect();
+    let bar = bar(common, missing.len() as u64, "evaluations");
+    for (evaluation, file) in missing {
+        check_stop(stop)?;
+        let (_, report) = evaluated(&evaluation)?;
+        write_output(&file, &serde_json::to_vec(&report).map_err(Failure::bug)?)?;
+        bar.inc(1);
+    }
     bar.finish_and_clear();
     Ok(())
 }

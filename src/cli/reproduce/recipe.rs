@@ -1,13 +1,14 @@
 //! What can be redone of the dissertation: a figure or table, the runs that it is made of, and what they came to beside it.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use clap::Parser;
 use serde::{Deserialize, Serialize};
-use sortie_learn::report::{RunRecord, Spread};
+use sortie_learn::report::{FinalResult, RunRecord, Spread};
 use sortie_learn::session::Setup;
 
+use crate::eval::EvalArguments;
 use crate::failure::{Exit, Failure};
 use crate::seeds::SeedRange;
 use crate::train::{TrainArguments, checked};
@@ -99,6 +100,9 @@ pub(super) struct Measure {
     factor: f64,
     #[serde(default = "two")]
     pub(super) digits: usize,
+    /// Words of `sortie eval` that say how the run is measured again; none: the evaluation that ended it counts.
+    #[serde(default)]
+    eval: String,
 }
 
 fn one() -> f64 {
@@ -115,6 +119,36 @@ fn two() -> usize {
 struct Line {
     #[command(flatten)]
     train: TrainArguments,
+}
+
+/// A command line of `sortie eval` without its program and verb.
+#[derive(Debug, Parser)]
+#[command(name = "sortie eval")]
+struct EvalLine {
+    #[command(flatten)]
+    eval: EvalArguments,
+}
+
+impl Measure {
+    /// Where a run is measured again: how, and the file in its folder that keeps what came of it.
+    pub(super) fn again(&self, run: &Path) -> Result<Option<(EvalArguments, PathBuf)>, Failure> {
+        if self.eval.is_empty() {
+            return Ok(None);
+        }
+        let subject = run.display().to_string();
+        let all = ["sortie eval", "-q", &subject].into_iter().chain(self.eval.split_whitespace());
+        let line = EvalLine::try_parse_from(all).map_err(|error| refused(&self.eval, &error))?;
+        Ok(Some((line.eval, self.file(run))))
+    }
+
+    fn file(&self, run: &Path) -> PathBuf {
+        run.join(format!("eval-{}.json", slug(&self.eval)))
+    }
+}
+
+fn refused(words: &str, error: &clap::Error) -> Failure {
+    let reason = error.to_string();
+    Failure::new(Exit::BadData, format!("`{words}`: {}", reason.lines().next().unwrap_or_default()))
 }
 
 impl Recipes {
@@ -182,12 +216,9 @@ impl Figure {
     pub(super) fn setup(&self, case: &Case, method: &Method, seed: u64) -> Result<Setup, Failure> {
         let words = self.words(case, method, &seed.to_string());
         let all = ["sortie train", "--out", "run"].into_iter().chain(words.split_whitespace());
-        let refused = |error: clap::Error| {
-            let reason = error.to_string();
-            let reason = reason.lines().next().unwrap_or_default().to_owned();
-            Failure::new(Exit::BadData, format!("figure `{}`: `{words}`: {reason}", self.name))
-        };
-        let line = Line::try_parse_from(all).map_err(refused)?;
+        let place = format!("figure `{}`", self.name);
+        let line =
+            Line::try_parse_from(all).map_err(|error| refused(&words, &error).within(&place))?;
         let mut setup = checked(&line.train)?;
         setup.run.settle_products()?;
         Ok(setup)
@@ -254,7 +285,7 @@ impl Measured<'_> {
 impl<'a> Measured<'a> {
     /// A number of runs that have ended.
     pub(super) fn of(measure: &'a Measure, runs: &[RunRecord]) -> Result<Self, Failure> {
-        let value = |run| Ok(measure.factor * number(run, &measure.key)?);
+        let value = |run| Ok(measure.factor * measure.number(run)?);
         let seeds = runs.iter().map(value).collect::<Result<Vec<f64>, Failure>>()?;
         let none = || Failure::new(Exit::Bug, "a row without runs; please report this");
         let spread = Spread::of(seeds.iter().copied()).ok_or_else(none)?;
@@ -262,19 +293,27 @@ impl<'a> Measured<'a> {
     }
 }
 
-/// A number of a run: of its last point where it tells of training, else of its final evaluation.
-fn number(run: &RunRecord, key: &str) -> Result<f64, Failure> {
-    let found = if key.starts_with("training_") {
-        run.rows.last().and_then(|row| row.number(key))
-    } else {
-        run.result.as_ref().and_then(|result| match key {
+impl Measure {
+    /// A number of a run: of its last point where it tells of training, else of its final evaluation, or of another one.
+    fn number(&self, run: &RunRecord) -> Result<f64, Failure> {
+        let found = if self.key.starts_with("training_") {
+            run.rows.last().and_then(|row| row.number(&self.key))
+        } else if self.eval.is_empty() {
+            run.result.as_ref().and_then(|result| self.measured(result))
+        } else {
+            self.measured(&FinalResult::open(&self.file(&run.folder))?)
+        };
+        found.ok_or_else(|| missing(&run.folder, &self.key))
+    }
+
+    fn measured(&self, result: &FinalResult) -> Option<f64> {
+        match &*self.key {
             "success" => Some(result.success),
             "return_mean" => result.return_mean,
             "length_mean" => result.length_mean,
-            _ => result.metrics().find(|(name, _)| *name == key).map(|(_, value)| value),
-        })
-    };
-    found.ok_or_else(|| missing(&run.folder, key))
+            key => result.metrics().find(|(name, _)| *name == key).map(|(_, value)| value),
+        }
+    }
 }
 
 fn missing(folder: &Path, key: &str) -> Failure {
@@ -326,6 +365,9 @@ mod tests {
             let is_missing = figure.state == State::NotYet;
             assert!(!(is_missing && figure.has_runs()), "{}", figure.name);
             assert_eq!(figure.has_runs(), !figure.measures.is_empty(), "{}", figure.name);
+            for measure in &figure.measures {
+                assert!(measure.again(Path::new("run")).is_ok(), "{}", measure.name);
+            }
             for (case, method) in figure.pairs() {
                 figure.setup(case, method, 1).unwrap_or_else(|error| panic!("{}", error.message));
             }

@@ -31,7 +31,7 @@ use crate::seeds::SeedRange;
 use crate::terminal::stop_saying;
 use reporter::Reporter;
 
-pub(crate) use sweep::{Sweep, learn_all, run_folder, suffixed};
+pub(crate) use sweep::{Sweep, check_stop, learn_all, run_folder, suffixed};
 
 /// Learn a team's policy and write the run to a folder
 ///

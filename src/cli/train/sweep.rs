@@ -64,11 +64,17 @@ pub(crate) fn learn_all(
     })?;
     let mut ended: Vec<_> = ended.into_iter().flatten().collect();
     ended.sort_by_key(|(place, _)| *place);
+    check_stop(stop)?;
+    successes(ended)
+}
+
+/// Ends a command that was stopped and goes on when it is given again.
+pub(crate) fn check_stop(stop: &Stop) -> Outcome {
     if stop.flag().load(Ordering::Relaxed) {
         let again = "stopped; the same command again goes on with what is unfinished";
         return Err(Failure::new(Exit::Interrupted, again));
     }
-    successes(ended)
+    Ok(())
 }
 
 /// All runs, or the first failure of a seed and how many others failed.

@@ -91,6 +91,12 @@ pub struct FinalResult {
 const NO_METRICS: [&str; 2] = ["seed", "return_sd"];
 
 impl FinalResult {
+    /// Reads an evaluation: that at the end of a run, or what `sortie eval --json` said.
+    pub fn open(path: &Path) -> Result<Self, LearnError> {
+        let text = read_text(path, MOST_BYTES).map_err(LearnError::file(path))?;
+        serde_json::from_str(&text).map_err(|error| LearnError::format(path, error))
+    }
+
     /// Means of the environment's metrics by their names.
     pub fn metrics(&self) -> impl Iterator<Item = (&str, f64)> {
         let others = self.others.iter().filter(|(name, _)| !NO_METRICS.contains(&name.as_str()));
@@ -121,7 +127,10 @@ impl RunRecord {
             environment,
             curve,
             rows,
-            result: read_result(&folder.join(RESULT))?,
+            result: Some(folder.join(RESULT))
+                .filter(|path| path.exists())
+                .map(|path| FinalResult::open(&path))
+                .transpose()?,
             description,
             folder: folder.to_owned(),
         })
@@ -215,14 +224,6 @@ fn read_description(path: &Path) -> Result<toml::Table, LearnError> {
     }
     let text = read_text(path, MOST_BYTES).map_err(LearnError::file(path))?;
     text.parse().map_err(|error: toml::de::Error| LearnError::format(path, error.message()))
-}
-
-fn read_result(path: &Path) -> Result<Option<FinalResult>, LearnError> {
-    if !path.exists() {
-        return Ok(None);
-    }
-    let text = read_text(path, MOST_BYTES).map_err(LearnError::file(path))?;
-    serde_json::from_str(&text).map(Some).map_err(|error| LearnError::format(path, error))
 }
 
 #[cfg(test)]
