@@ -14,7 +14,8 @@ use sortie_core::Policy;
 use sortie_envs::{Environment, Spec, Split};
 use sortie_learn::Act;
 use sortie_learn::draft::{
-    Measured, MethodRun, Recorder, contract, described, draft_method, limits, measured_table,
+    EPISODES, Measured, MethodRun, Recorder, contract, described, draft_method, limits,
+    measured_table,
 };
 use sortie_learn::evaluate::Evaluation;
 use sortie_learn::play::{PolicyTeam, evaluate, evaluate_watched};
@@ -200,11 +201,6 @@ fn check_place(out: &Path) -> Outcome {
     })
 }
 
-/// Golden observations are drawn from rounds of so many episodes, until there are enough.
-const GOLDEN_EPISODES: usize = 20;
-const GOLDEN_CASES: usize = 128;
-const GOLDEN_ROUNDS: u64 = 100;
-
 /// A policy, and the environments that it is to act in.
 struct Exported {
     onnx: Vec<u8>,
@@ -310,13 +306,10 @@ impl Exported {
         let features = usize::from(self.contract.features);
         let Place { set, environment } = &self.first;
         let mut recorder = Recorder::new(features);
-        for round in 0..GOLDEN_ROUNDS {
-            if recorder.cases.len() >= GOLDEN_CASES {
-                break;
-            }
+        recorder.fill(seed, |recorder, seed| {
             let mut team = PolicyTeam::new(recorder.of(&mut *policy));
-            evaluate(&**environment, &mut team, GOLDEN_EPISODES, seed.wrapping_add(round))?;
-        }
+            evaluate(&**environment, &mut team, EPISODES, seed).map(drop)
+        })?;
         let golden = Golden { cases: recorder.cases, ..Golden::default() };
         let mut parts = BTreeMap::from([
             (AGENT.to_owned(), self.onnx.clone()),

@@ -1,8 +1,11 @@
 //! Keeps allocations of a learned allocator as golden cases.
 
+use std::cell::RefCell;
+
 use sortie_bundle::{GoldenAllocation, GoldenValue};
 use sortie_envs::{EntitySet, Environment, Random, SparseRows};
 
+use super::recorder::{EPISODES, ROUNDS};
 use crate::error::LearnError;
 use crate::play::evaluate;
 use crate::subtasks::{Allocate, AllocatorNetworks, Subtasks, allocation_state};
@@ -12,32 +15,36 @@ const CASES: usize = 48;
 /// One of so many allocations becomes golden, so that they come from many episodes.
 const STRIDE: usize = 23;
 
-/// Plays so many episodes under the learned allocator and keeps some of its allocations; none where it does not value
-/// single teams, whose values are what engines are compared by.
+/// Plays under the learned allocator and keeps some of its allocations; none where it does not value single teams, whose
+/// values are what engines are compared by.
 pub(super) fn golden_allocations(
     mut subtasks: Subtasks<'_>,
     environment: &dyn Environment,
-    episodes: usize,
     seed: u64,
 ) -> Result<Vec<GoldenAllocation>, LearnError> {
-    let mut cases = Vec::new();
-    let Some(learned) = subtasks.allocator.take() else { return Ok(cases) };
+    let cases = RefCell::default();
+    let Some(learned) = subtasks.allocator.take() else { return Ok(cases.take()) };
     if matches!(learned.networks, AllocatorNetworks::Proposals(_)) {
-        return Ok(cases);
+        return Ok(cases.take());
     }
     let recorder =
-        AllocationRecorder { allocator: learned.allocate, allocations: 0, cases: &mut cases };
+        AllocationRecorder { allocator: learned.allocate, allocations: 0, cases: &cases };
     let mut team = subtasks.under(Box::new(recorder));
-    evaluate(environment, &mut team, episodes, seed)?;
+    for seed in (0..ROUNDS).map(|round| seed.wrapping_add(round)) {
+        evaluate(environment, &mut team, EPISODES, seed)?;
+        if cases.borrow().len() >= CASES {
+            break;
+        }
+    }
     drop(team);
-    Ok(cases)
+    Ok(cases.take())
 }
 
 /// Allocates, and keeps every so many-th allocation.
 struct AllocationRecorder<'a> {
     allocator: Box<dyn Allocate + 'a>,
     allocations: usize,
-    cases: &'a mut Vec<GoldenAllocation>,
+    cases: &'a RefCell<Vec<GoldenAllocation>>,
 }
 
 impl Allocate for AllocationRecorder<'_> {
@@ -50,9 +57,9 @@ impl Allocate for AllocationRecorder<'_> {
     ) -> Result<(), LearnError> {
         self.allocator.allocate(environment, state, random, allocation)?;
         self.allocations += 1;
-        if self.allocations % STRIDE == 1 && self.cases.len() < CASES {
+        if self.allocations % STRIDE == 1 && self.cases.borrow().len() < CASES {
             let case = self.case(environment, state, allocation);
-            self.cases.push(case);
+            self.cases.borrow_mut().push(case);
         }
         Ok(())
     }

@@ -32,14 +32,8 @@ use crate::subtasks::{
 };
 
 pub use card::{Measured, measured_table};
-pub use recorder::{DecoratedPolicy, Recorder};
+pub use recorder::{DecoratedPolicy, EPISODES, Recorder};
 
-/// Episodes that golden observations are drawn from.
-const GOLDEN_EPISODES: usize = 400;
-/// The same of agents that are allocated to subtasks, which are many.
-const ALLOCATED_EPISODES: usize = 100;
-/// The same of agents that run options, whose episodes are long.
-const OPTION_CASES: usize = 30;
 /// Episodes that are golden as a whole, where agents run options.
 const WHOLE_EPISODES: u64 = 3;
 
@@ -113,18 +107,21 @@ fn golden(
     let mut recorder = Recorder::new(environment.spec().shape.features);
     if let Some(subtasks) = run.method.subtasks() {
         let usual = environment.spec().rules.first().map_or("", |rule| rule.name);
-        let agents = Box::new(PolicyAgents::new(recorder.of(&mut *policy)));
-        let rule = Box::new(RuleAllocator(usual));
-        let mut team = AllocatedTeam::new(agents, rule, subtasks.interval);
-        evaluate(environment, &mut team, ALLOCATED_EPISODES, seed)?;
-        drop(team);
-        golden.allocations = golden_allocations(subtasks, environment, ALLOCATED_EPISODES, seed)?;
+        recorder.fill(seed, |recorder, seed| {
+            let agents = Box::new(PolicyAgents::new(recorder.of(&mut *policy)));
+            let rule = Box::new(RuleAllocator(usual));
+            let mut team = AllocatedTeam::new(agents, rule, subtasks.interval);
+            evaluate(environment, &mut team, EPISODES, seed).map(drop)
+        })?;
+        golden.allocations = golden_allocations(subtasks, environment, seed)?;
         golden.cases = recorder.cases;
         return Ok(golden);
     }
     let runs_options = matches!(networks, DeployedNetworks::Options { .. });
-    let episodes = if runs_options { OPTION_CASES } else { GOLDEN_EPISODES };
-    evaluate(environment, &mut PolicyTeam::new(recorder.of(&mut *policy)), episodes, seed)?;
+    recorder.fill(seed, |recorder, seed| {
+        let mut team = PolicyTeam::new(recorder.of(&mut *policy));
+        evaluate(environment, &mut team, EPISODES, seed).map(drop)
+    })?;
     golden.cases = recorder.cases;
     for index in 0..if runs_options { WHOLE_EPISODES } else { 0 } {
         let mut episode = GoldenEpisode::default();

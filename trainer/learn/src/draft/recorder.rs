@@ -4,6 +4,8 @@ use sortie_bundle::{GoldenCase, GoldenEpisode, GoldenTick, OwnedObservation};
 use sortie_core::options::Pursuit;
 use sortie_core::{DecideError, Decision, Observation, Policy};
 
+use crate::error::LearnError;
+
 /// Golden observations of a bundle.
 const GOLDEN_CASES: usize = 256;
 /// One of so many decisions becomes golden, so that they come from many episodes.
@@ -60,6 +62,10 @@ where
     }
 }
 
+/// Episodes that are played at a time until there is enough that is golden, and how often at most.
+pub const EPISODES: usize = 20;
+pub(super) const ROUNDS: u64 = 100;
+
 /// Keeps every so many-th decision: the answer of an agent with an empty memory.
 #[derive(Debug)]
 pub struct Recorder {
@@ -75,21 +81,38 @@ impl Recorder {
         Self { features, decisions: 0, cases: Vec::new() }
     }
 
+    /// Plays by seeds from this one on, [`EPISODES`] of each, until enough is kept.
+    ///
+    /// # Errors
+    /// Those of a round.
+    pub fn fill(
+        &mut self,
+        seed: u64,
+        mut round: impl FnMut(&mut Self, u64) -> Result<(), LearnError>,
+    ) -> Result<(), LearnError> {
+        let mut seeds = (0..ROUNDS).map(|number| seed.wrapping_add(number));
+        seeds.try_for_each(|seed| if self.is_full() { Ok(()) } else { round(self, seed) })
+    }
+
     /// A policy of whose decisions some are kept.
     pub fn of<'a>(&'a mut self, policy: impl Policy + 'a) -> impl Policy + 'a {
         DecoratedPolicy::new(policy, |policy, observation, hidden| {
-            let mut utilities = vec![0.0; policy.actions()];
-            let mut empty = vec![0.0; hidden.len()];
-            policy.utilities_with(observation, &mut empty, &mut utilities)?;
-            empty.fill(0.0);
-            let decision = policy.decide_with(observation, &mut empty)?;
             self.decisions += 1;
-            if self.decisions % GOLDEN_STRIDE == 1 && self.cases.len() < GOLDEN_CASES {
+            if self.decisions % GOLDEN_STRIDE == 1 && !self.is_full() {
+                let mut utilities = vec![0.0; policy.actions()];
+                let mut empty = vec![0.0; hidden.len()];
+                policy.utilities_with(observation, &mut empty, &mut utilities)?;
+                empty.fill(0.0);
+                let action = policy.decide_with(observation, &mut empty)?.action;
                 let observation = OwnedObservation::copy_of(observation, self.features);
-                self.cases.push(GoldenCase { observation, utilities, action: decision.action });
+                self.cases.push(GoldenCase { observation, utilities, action });
             }
-            if hidden.is_empty() { Ok(decision) } else { policy.decide_with(observation, hidden) }
+            policy.decide_with(observation, hidden)
         })
+    }
+
+    fn is_full(&self) -> bool {
+        self.cases.len() >= GOLDEN_CASES
     }
 }
 
