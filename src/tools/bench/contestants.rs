@@ -106,7 +106,9 @@ impl OnnxRuntimePeer {
         }
         let quantised = quantise_or_note(python, onnx)
             .map(|variant| runtime.policy_of_variant(onnx, &variant, features));
-        let team = Some(runtime.batched_agents(onnx, features)?);
+        // Graphs that point are not rewritten for many agents at once.
+        let noted = |error| tell!("note: onnxruntime is not measured with teams: {error}");
+        let team = runtime.batched_agents(onnx, features).map_err(noted).ok();
         Ok(Self { runtime, alone, quantised: quantised.transpose()?, team })
     }
 }
@@ -120,11 +122,10 @@ fn takes_fixed_sizes(bundle: &Bundle) -> bool {
 /// as it is.
 fn plans_for_large_teams(bundle: &Bundle, profile: Profile) -> Result<AgentPlans, Failure> {
     let failed = |error: CompileError| Failure::from(error).within(bundle.folder().display());
-    if takes_fixed_sizes(bundle) {
-        return plans().agents(bundle, profile).map_err(failed);
-    }
-    let own = ScenarioSetName::parse_with_subtasks(&bundle.manifest().contract.environment.name)?;
-    let large = large_set(&own)?.open(Split::Test)?.spec().shape.entities;
+    let own = ScenarioSetName::parse(&bundle.manifest().contract.environment.name)?;
+    let large = large_set(&own).filter(|_| !takes_fixed_sizes(bundle));
+    let Some(large) = large else { return plans().agents(bundle, profile).map_err(failed) };
+    let large = large.open(Split::Test)?.spec().shape.entities;
     let options = CompileOptions {
         n_max: large.max(bundle.manifest().limits.n_max.into()),
         features: Some(bundle.contract().features.into()),

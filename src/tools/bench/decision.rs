@@ -129,9 +129,9 @@ fn recordings(
     if !own.has_subtasks()? {
         return Ok(vec![scenes::record_without_subtasks(bundle, policy, &own, seed)?]);
     }
-    let large = scenes::large_set(&own)?;
-    let mut record = |set| scenes::record(bundle, policy, set, seed);
-    Ok(vec![record(&own)?, record(&large)?])
+    let large = scenes::large_set(&own);
+    let sets = std::iter::once(own).chain(large);
+    sets.map(|set| scenes::record(bundle, policy, &set, seed)).collect()
 }
 
 /// What is decided on: rows of golden episodes, and what is shown of them.

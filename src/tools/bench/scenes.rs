@@ -2,7 +2,6 @@
 //! before.
 
 use sortie_bundle::{Bundle, OwnedAllocationState, Recording};
-use sortie_cli::allocation::Allocation;
 use sortie_cli::environment::ScenarioSetName;
 use sortie_cli::failure::Failure;
 use sortie_cli::files::{recording_of, recording_policy};
@@ -10,17 +9,20 @@ use sortie_cli::output::tell;
 use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask, Observation, Policy};
 use sortie_envs::{DecisionPoints, Split};
 use sortie_learn::play::{PolicyTeam, evaluate};
-use sortie_learn::subtasks::{Allocate, AllocatedTeam, DeployedAllocator, PolicyAgents};
+use sortie_learn::subtasks::{
+    Allocate, AllocatedTeam, DeployedAllocator, PolicyAgents, RuleAllocator,
+};
 
-/// The set with the largest teams that are measured, of the environment of another set.
-pub(super) fn large_set(own: &ScenarioSetName) -> Result<ScenarioSetName, Failure> {
-    ScenarioSetName::parse(&format!("{}/2-8a_2-8b", own.entry().name))
+/// The set with the largest teams that are measured, where the environment of another set has it.
+pub(super) fn large_set(own: &ScenarioSetName) -> Option<ScenarioSetName> {
+    let large = ScenarioSetName::parse(&format!("{}/2-8a_2-8b", own.entry().name)).ok()?;
+    large.open(Split::Test).is_ok().then_some(large)
 }
 
 /// Episodes that are recorded: some thousand observations.
 const EPISODES: usize = 64;
 
-/// Plays episodes of a scenario set under the coordinated rule and records what every agent sees.
+/// Plays episodes of a scenario set under the environment's first rule and records what every agent sees.
 pub(super) fn record(
     bundle: &Bundle,
     policy: &mut dyn Policy,
@@ -30,7 +32,8 @@ pub(super) fn record(
     let environment = set.open(Split::Test)?;
     let mut recording = recording_of(bundle);
     let mut recorder = recording_policy(policy, &mut recording);
-    let rule = Box::new(Allocation::named("coordinated")?.measured());
+    let usual = environment.spec().rules.first().map_or("", |rule| rule.name);
+    let rule = Box::new(RuleAllocator(usual));
     evaluate(&*environment, &mut allocated(&mut recorder, rule), EPISODES, seed)?;
     drop(recorder);
     Ok(recording)
