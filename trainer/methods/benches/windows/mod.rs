@@ -19,15 +19,7 @@ pub(crate) fn record() -> Result<Windows, Box<dyn Error>> {
     let mut world =
         SaveTheCity::new(ScenarioSet::named("2-5a_2-5b")?, Constants::default(), WINDOWS, 1)?;
     let shape = world.shape();
-    let sizes = WindowShape {
-        windows: WINDOWS,
-        steps: STEPS,
-        agents: shape.agents,
-        entities: shape.entities,
-        tasks: shape.tasks,
-        actions: shape.actions,
-        features: shape.features,
-    };
+    let sizes = WindowShape { windows: WINDOWS, steps: STEPS, ..WindowShape::of(world.spec()) };
     let mut windows = Windows::new(sizes);
     windows.features.clear();
     let mut draws = draws(2);
