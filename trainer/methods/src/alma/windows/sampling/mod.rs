@@ -322,13 +322,11 @@ impl Writer<'_> {
     fn write_agents(&mut self, state: usize, (episode, at): (&Episode, usize)) {
         let Self { windows, seen, .. } = self;
         let WindowShape { agents, entities, actions, .. } = windows.shape;
+        let present = &windows.present[state * entities..][..entities];
         for agent in 0..seen.agents() {
             let own = state * agents + agent;
-            let observable = &mut windows.observable[own * entities..][..entities];
             // As they act and are deployed: of what shares their subtask agents see all that exists.
-            for (entity, observable) in observable.iter_mut().enumerate() {
-                *observable = seen.present >> entity & 1 == 1;
-            }
+            windows.observable[own * entities..][..entities].copy_from_slice(present);
             let codes = &mut windows.available[own * actions..][..actions];
             for (action, code) in codes.iter_mut().enumerate() {
                 *code = (seen.available[agent] >> action & 1) as u16;
