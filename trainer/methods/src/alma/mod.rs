@@ -273,6 +273,18 @@ mod tests {
     }
 
     #[test]
+    fn runs_that_began_when_no_head_pointed_go_on_with_numbers() {
+        for (preset, section) in [("fast", "network"), ("paper", "low_level")] {
+            let mut own = ALMA.preset(preset).unwrap().own;
+            let head = |own: &Table| own[section]["head"].as_str().map(str::to_owned);
+            assert_eq!(head(&own).as_deref(), Some("pointing"), "{preset}");
+            own[section].as_table_mut().unwrap().remove("head");
+            settle_older(&mut own);
+            assert_eq!(head(&own).as_deref(), Some("numbered"), "{preset}");
+        }
+    }
+
+    #[test]
     fn what_an_environment_lacks_is_said() {
         let mut spec = Spec {
             shape: Shape { agents: 2, entities: 4, tasks: 2, actions: 3, features: 2 },
