@@ -5,7 +5,10 @@ use std::io::{self, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-use super::preflight::OTHERS;
+use rustix::fs::{FallocateFlags, fallocate};
+use rustix::io::Errno;
+
+use super::preflight::{OTHERS, check_not_full};
 use super::{Domain, SHARED_MEMORY};
 use crate::error::Error;
 
@@ -14,6 +17,8 @@ use crate::error::Error;
 const NODE_NUMBERS: &str = ".global_mgmt";
 /// What may carry the domain's name only for as long as it is written.
 const UNFINISHED: &str = ".new";
+/// Bytes of what [`MetadataExt::blocks`] counts.
+const BLOCK: u64 = 512;
 
 impl Domain {
     /// The domain's objects in shared memory.
@@ -54,6 +59,28 @@ impl Domain {
         Ok(())
     }
 
+    /// Takes the memory of every object now: the system gives pages when they are first written, and kills whoever
+    /// writes to one when there is none left, in the midst of an episode.
+    ///
+    /// # Errors
+    /// Shared memory is full.
+    pub(crate) fn reserve_objects(&self) -> Result<(), Error> {
+        for path in self.shared_memory()? {
+            // Others come and go, and close what they are creating.
+            let Ok(file) = OpenOptions::new().write(true).open(&path) else { continue };
+            let Ok(found) = file.metadata() else { continue };
+            if !found.is_file() || found.blocks() * BLOCK >= found.len() {
+                continue;
+            }
+            match fallocate(&file, FallocateFlags::KEEP_SIZE, 0, found.len()) {
+                Err(Errno::NOSPC) => return Err(full(&path)),
+                // Systems that cannot do it give pages as before.
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
     /// Checks that every object is the user's, and closed to others.
     ///
     /// # Errors
@@ -73,6 +100,11 @@ impl Domain {
         }
         Ok(())
     }
+}
+
+fn full(path: &Path) -> Error {
+    let no_room = || Error::io("reserve", path)(io::ErrorKind::StorageFull.into());
+    check_not_full(Path::new(SHARED_MEMORY)).err().unwrap_or_else(no_room)
 }
 
 fn replace_by_copy(path: &Path) -> io::Result<()> {

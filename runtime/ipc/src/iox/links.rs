@@ -10,13 +10,14 @@ use sortie_core::link::{
 use sortie_core::wire::{
     ActionMsg, AllocMsg, Command, ControlRep, ControlReq, FrameHeader, Role, StatMsg,
 };
+use zerocopy::IntoBytes;
 
 use super::bell::LinkBell;
 use super::open::{PendingAnswers, Receiver, RequestClient, RequestServer, Sender, drain, send};
 use super::opener::{FrameReceiver, Opener, WorldFrames};
 use super::services::{
-    self, ActionPayload, AllocPayload, FrameHeaderPayload, LinkSetup, Message, RequestPayload,
-    StatPayload,
+    self, ActionPayload, AllocPayload, Block, FrameHeaderPayload, LinkSetup, Message,
+    RequestPayload, StatPayload,
 };
 use super::watcher::{ControlRx, serve};
 use super::{InterProcess, LinkService};
@@ -218,10 +219,12 @@ impl<S: LinkService> Housekeeping for IoxAllocator<S> {
     }
 }
 
+type FrameSample<S> = Sample<S, [Block], FrameHeaderPayload>;
+
 /// Keeps the frame that was accepted last.
 struct FrameReader<S: LinkService> {
     receiver: FrameReceiver<S>,
-    kept: Option<Sample<S, [u8], FrameHeaderPayload>>,
+    kept: Option<FrameSample<S>>,
 }
 
 impl<S: LinkService> FrameReader<S> {
@@ -232,8 +235,7 @@ impl<S: LinkService> FrameReader<S> {
     fn receive(&mut self, accept: &mut dyn FnMut(Frame<'_>) -> bool) -> Result<bool, LinkError> {
         let mut accepted = false;
         while let Some(sample) = self.receiver.receive().map_err(|_| LinkError::Frames)? {
-            let frame = Frame { header: sample.user_header().message(), payload: sample.payload() };
-            if accept(frame) {
+            if accept(frame_of(&sample)) {
                 self.kept = Some(sample);
                 accepted = true;
             }
@@ -242,9 +244,12 @@ impl<S: LinkService> FrameReader<S> {
     }
 
     fn frame(&self) -> Option<Frame<'_>> {
-        let sample = self.kept.as_ref()?;
-        Some(Frame { header: sample.user_header().message(), payload: sample.payload() })
+        self.kept.as_ref().map(frame_of)
     }
+}
+
+fn frame_of<S: LinkService>(sample: &FrameSample<S>) -> Frame<'_> {
+    Frame { header: sample.user_header().message(), payload: sample.payload().as_bytes() }
 }
 
 impl<S: LinkService> FrameTx for IoxWorld<S> {

@@ -15,7 +15,7 @@ use iceoryx2::service::builder::publish_subscribe as publish_subscribe_builder;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 use sortie_core::link::LinkError;
 
-use super::services::{AnswerPayload, Control, Message, RequestPayload, Topic};
+use super::services::{AnswerPayload, Block, Control, Message, RequestPayload, Topic};
 use super::{InterProcess, LinkService};
 use crate::domain::Domain;
 use crate::error::Error;
@@ -42,10 +42,10 @@ pub(super) type RequestServer<S> = Server<S, RequestPayload, (), AnswerPayload, 
 pub(super) type RequestClient<S> = Client<S, RequestPayload, (), AnswerPayload, ()>;
 pub(super) type PendingAnswers<S> = PendingResponse<S, RequestPayload, (), AnswerPayload, ()>;
 
-/// A topic whose messages are bytes, behind headers `H`.
-pub(super) type Bytes<S, H> = publish_subscribe::PortFactory<S, [u8], H>;
-pub(super) type BytesSender<S, H> = Publisher<S, [u8], H>;
-pub(super) type BytesReceiver<S, H> = Subscriber<S, [u8], H>;
+/// A topic whose messages are bytes, in whole blocks, behind headers `H`.
+pub(super) type Bytes<S, H> = publish_subscribe::PortFactory<S, [Block], H>;
+pub(super) type BytesSender<S, H> = Publisher<S, [Block], H>;
+pub(super) type BytesReceiver<S, H> = Subscriber<S, [Block], H>;
 
 /// Which topic that is.
 #[derive(Clone, Debug)]
@@ -53,8 +53,6 @@ pub(super) struct ByteTopic {
     pub(super) topic: Topic,
     /// The service's, where a topic has several.
     pub(super) name: String,
-    /// Messages begin at multiples of this.
-    pub(super) alignment: usize,
 }
 
 /// What all services of one schema are opened with.
@@ -102,15 +100,13 @@ impl<S: LinkService> Services<'_, S> {
 
     pub(super) fn bytes<H: Debug + ZeroCopySend>(
         &self,
-        ByteTopic { topic, name, alignment }: &ByteTopic,
+        ByteTopic { topic, name }: &ByteTopic,
     ) -> Result<Bytes<S, H>, Error> {
         let name = service_name(name)?;
-        let alignment =
-            Alignment::new(*alignment).ok_or("not a power of two").map_err(failed("alignment"))?;
         self.retry(topic.name, || {
-            let service = self.node.service_builder(&name).publish_subscribe::<[u8]>();
-            let service = service.user_header::<H>().payload_alignment(alignment);
-            self.sized(service, *topic).open_or_create_with_attributes(self.attributes)
+            let service = self.node.service_builder(&name).publish_subscribe::<[Block]>();
+            self.sized(service.user_header::<H>(), *topic)
+                .open_or_create_with_attributes(self.attributes)
         })
     }
 
@@ -125,7 +121,7 @@ impl<S: LinkService> Services<'_, S> {
             service
                 .publisher_builder()
                 .name(&name)
-                .initial_max_slice_len(most)
+                .initial_max_slice_len(Block::holding(most))
                 .allocation_strategy(AllocationStrategy::Static)
                 .max_loaned_samples(topic.loan)
                 .create()
@@ -200,7 +196,9 @@ impl<S: LinkService> Services<'_, S> {
         what: &str,
         attempt: impl FnMut() -> Result<T, E>,
     ) -> Result<T, Error> {
-        retry(self.node, (self.domain, self.schema), what, attempt)
+        let opened = retry(self.node, (self.domain, self.schema), what, attempt)?;
+        self.domain.reserve_objects()?;
+        Ok(opened)
     }
 }
 
@@ -232,7 +230,8 @@ pub(super) fn retry<S: LinkService, T, E: Debug>(
 
 /// The library's error types differ by pattern and call; their names do not.
 fn refused(domain: &Domain, schema: u64, what: &str, problem: String) -> Error {
-    if problem.contains("IncompatibleAttributes") {
+    if ["IncompatibleAttributes", "IncompatibleTypes"].iter().any(|misfit| problem.contains(misfit))
+    {
         return Error::SchemaInUse { domain: domain.id().to_string(), schema };
     }
     domain.explain(what, problem)

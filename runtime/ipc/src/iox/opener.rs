@@ -8,7 +8,7 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use sortie_core::link::{FrameBlock, LinkError};
-use sortie_core::wire::{ABI, FrameFormat, FrameHead, FrameHeader, FrameLayout, FrameView, Role};
+use sortie_core::wire::{ABI, FrameFormat, FrameHeader, FrameLayout, FrameView, Role};
 use zerocopy::IntoBytes;
 
 use super::LinkService;
@@ -16,7 +16,7 @@ use super::open::{
     ByteTopic, Bytes, BytesReceiver, BytesSender, Receiver, RequestClient, RequestServer, Sender,
     Services, attributes, failed, node, retry, service_name,
 };
-use super::services::{self, FrameHeaderPayload, LinkSetup, Message, Topic};
+use super::services::{self, Block, FrameHeaderPayload, LinkSetup, Message, Topic};
 use crate::error::Error;
 
 pub(super) type FrameTopic<S> = Bytes<S, FrameHeaderPayload>;
@@ -56,15 +56,14 @@ impl<'a, S: LinkService> Opener<'a, S> {
     }
 
     fn frame_topic(&self, agent: Option<usize>) -> ByteTopic {
-        let alignment = align_of::<FrameHead>();
         match agent {
             None => {
                 let topic = services::frames(self.agents());
-                ByteTopic { topic, name: topic.name.to_owned(), alignment }
+                ByteTopic { topic, name: topic.name.to_owned() }
             }
             Some(agent) => {
                 let name = services::private_frames_name(agent);
-                ByteTopic { topic: services::private_frames(), name, alignment }
+                ByteTopic { topic: services::private_frames(), name }
             }
         }
     }
@@ -200,10 +199,10 @@ impl<S: LinkService> WorldFrames<S> {
             let header = fill(unsent.as_mut_bytes())?;
             return send_parts(private, &header, unsent.as_bytes(), format);
         };
-        let bytes = format.layout.payload_bytes();
-        let mut sample = whole.loan_slice(bytes).map_err(|_| LinkError::Frames)?;
-        let header = fill(sample.payload_mut())?;
-        send_parts(private, &header, sample.payload(), format)?;
+        let blocks = Block::holding(format.layout.payload_bytes());
+        let mut sample = whole.loan_slice(blocks).map_err(|_| LinkError::Frames)?;
+        let header = fill(sample.payload_mut().as_mut_bytes())?;
+        send_parts(private, &header, sample.payload().as_bytes(), format)?;
         *sample.user_header_mut() = FrameHeaderPayload::wrap(&header);
         sample.send().map(drop).map_err(|_| LinkError::Frames)
     }
@@ -221,9 +220,11 @@ fn send_parts<S: LinkService>(
     }
     let view = FrameView::new(header, payload, format).map_err(LinkError::Frame)?;
     for (layout, sender) in private {
-        let loaned = sender.loan_slice(layout.payload_bytes());
+        let loaned = sender.loan_slice(Block::holding(layout.payload_bytes()));
         let mut sample = loaned.map_err(|_| LinkError::Frames)?;
-        let header = view.write_private(layout, sample.payload_mut()).map_err(LinkError::Frame)?;
+        let header = view
+            .write_private(layout, sample.payload_mut().as_mut_bytes())
+            .map_err(LinkError::Frame)?;
         *sample.user_header_mut() = FrameHeaderPayload::wrap(&header);
         sample.send().map_err(|_| LinkError::Frames)?;
     }
@@ -232,6 +233,7 @@ fn send_parts<S: LinkService>(
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::MetadataExt;
     use std::time::Duration;
 
     use sortie_core::Shape;
@@ -241,13 +243,34 @@ mod tests {
     use crate::domain::{BellKind, Domain};
     use crate::iox::InterProcess;
 
+    fn format() -> FrameFormat {
+        let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
+        FrameFormat { layout: FrameLayout::new(shape).unwrap(), schema: 7 }
+    }
+
+    #[test]
+    fn every_object_has_its_memory_before_anything_is_sent() {
+        let domain = Domain::new(&format!("reserved-{}", std::process::id())).unwrap();
+        let _member = domain.enter().unwrap();
+        let (name, bell) = ("test", BellKind::Doorbell);
+        let setup =
+            LinkSetup { domain: &domain, format: format(), name, bell, linger: Duration::ZERO };
+        let opener = Opener::<InterProcess>::new(&setup).unwrap();
+        let _frames = opener.frame_sender(&format().layout).unwrap();
+        let objects = domain.shared_memory().unwrap();
+        assert!(objects.len() > 1, "{objects:?}");
+        for object in objects {
+            let found = object.metadata().unwrap();
+            assert!(found.blocks() * 512 >= found.len(), "{}: {found:?}", object.display());
+        }
+    }
+
     #[test]
     fn services_of_another_schema_or_abi_are_refused() {
         let domain = Domain::new(&format!("abi-{}", std::process::id())).unwrap();
         let _member = domain.enter().unwrap();
-        let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
-        let format = FrameFormat { layout: FrameLayout::new(shape).unwrap(), schema: 7 };
         let (name, bell) = ("test", BellKind::Doorbell);
+        let format = format();
         let setup = LinkSetup { domain: &domain, format, name, bell, linger: Duration::ZERO };
         let first = Opener::<InterProcess>::new(&setup).unwrap();
         let _frames = first.frames(None).unwrap();

@@ -6,15 +6,14 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use sortie_core::link::{LinkError, StatRx, Wake};
-use sortie_core::wire::{
-    ABI, ControlRep, ControlReq, MessageError, ObservationHead, Role, ServedFormat, StatMsg,
-};
+use sortie_core::wire::{ABI, ControlRep, ControlReq, MessageError, Role, ServedFormat, StatMsg};
+use zerocopy::IntoBytes;
 
 use super::open::{
     ByteTopic, BytesReceiver, BytesSender, Receiver, RequestServer, Sender, Services, attributes,
     drain, failed, node,
 };
-use super::services::{self, Message as _, StatPayload, Topic};
+use super::services::{self, Block, Message as _, StatPayload, Topic};
 use super::watcher::{Bells, ControlRx, IoxControl, serve};
 use super::{InterProcess, LinkService};
 use crate::domain::Domain;
@@ -22,7 +21,19 @@ use crate::doorbell::Doorbell;
 use crate::error::Error;
 use crate::stop::Waker;
 
-type Message<S> = Sample<S, [u8], ()>;
+/// A message that was received.
+pub(crate) struct Message<S: LinkService> {
+    sample: Sample<S, [Block], ()>,
+    /// It ends inside of the last block.
+    bytes: usize,
+}
+
+impl<S: LinkService> Message<S> {
+    pub(crate) fn bytes(&self) -> &[u8] {
+        let whole = self.sample.payload().as_bytes();
+        whole.get(..self.bytes).unwrap_or(whole)
+    }
+}
 
 /// What an end is opened with.
 #[derive(Clone, Copy, Debug)]
@@ -39,7 +50,9 @@ pub(crate) struct ServedLink<S: LinkService = InterProcess> {
     sender: BytesSender<S, ()>,
     receiver: BytesReceiver<S, ()>,
     /// Bytes of every message that is sent.
-    bytes: usize,
+    sent: usize,
+    /// Bytes of every message that is received.
+    received: usize,
     bell: Doorbell,
     peer: Role,
     /// Dropped last.
@@ -50,30 +63,32 @@ impl<S: LinkService> ServedLink<S> {
     /// The end that answers.
     pub(crate) fn server(setup: &ServedSetup<'_>) -> Result<Self, Error> {
         let (observations, answers) = topics();
-        let bytes = setup.format.answer_bytes();
-        Self::open(setup, (answers, bytes), observations, [Role::Runner, Role::World])
+        let asked = setup.format.observation_bytes();
+        let answered = setup.format.answer_bytes();
+        Self::open(setup, (answers, answered), (observations, asked), [Role::Runner, Role::World])
     }
 
     /// The end that asks.
     pub(crate) fn client(setup: &ServedSetup<'_>) -> Result<Self, Error> {
         let (observations, answers) = topics();
-        let bytes = setup.format.observation_bytes();
-        Self::open(setup, (observations, bytes), answers, [Role::World, Role::Runner])
+        let asked = setup.format.observation_bytes();
+        let answered = setup.format.answer_bytes();
+        Self::open(setup, (observations, asked), (answers, answered), [Role::World, Role::Runner])
     }
 
     fn open(
         setup: &ServedSetup<'_>,
-        (sent, bytes): (Topic, usize),
-        received: Topic,
+        (sender, sent): (Topic, usize),
+        (receiver, received): (Topic, usize),
         [own, peer]: [Role; 2],
     ) -> Result<Self, Error> {
         let node = quiet_node(setup, "policy")?;
         let attributes = attributes(setup.format.schema(), ABI)?;
         let services = services_of(setup, &node, &attributes);
-        let receiver = services.bytes_receiver(&messages(received))?;
-        let sender = services.bytes_sender(&messages(sent), bytes)?;
+        let receiver = services.bytes_receiver(&messages(receiver))?;
+        let sender = services.bytes_sender(&messages(sender), sent)?;
         let bell = Doorbell::open(setup.domain, own, setup.linger)?;
-        Ok(Self { sender, receiver, bytes, bell, peer, node })
+        Ok(Self { sender, receiver, sent, received, bell, peer, node })
     }
 
     /// Writes a message in shared memory, sends it, and wakes the other end.
@@ -81,15 +96,19 @@ impl<S: LinkService> ServedLink<S> {
         &self,
         write: impl FnOnce(&mut [u8]) -> Result<(), MessageError>,
     ) -> Result<(), Error> {
-        let mut sample = self.sender.loan_slice(self.bytes).map_err(failed("loan"))?;
-        write(sample.payload_mut()).map_err(failed("message"))?;
+        let blocks = Block::holding(self.sent);
+        let mut sample = self.sender.loan_slice(blocks).map_err(failed("loan"))?;
+        let whole = sample.payload_mut().as_mut_bytes();
+        let bytes = whole.get_mut(..self.sent).unwrap_or_default();
+        write(bytes).map_err(failed("message"))?;
         sample.send().map_err(failed("send"))?;
         Ok(self.bell.ring(self.peer)?)
     }
 
     /// The next message that waits.
     pub(crate) fn receive(&self) -> Result<Option<Message<S>>, Error> {
-        self.receiver.receive().map_err(failed("receive"))
+        let received = self.receiver.receive().map_err(failed("receive"))?;
+        Ok(received.map(|sample| Message { sample, bytes: self.received }))
     }
 
     /// The bell's state, taken before looking for messages.
@@ -211,7 +230,7 @@ fn topics() -> (Topic, Topic) {
 }
 
 fn messages(topic: Topic) -> ByteTopic {
-    ByteTopic { topic, name: topic.name.to_owned(), alignment: align_of::<ObservationHead>() }
+    ByteTopic { topic, name: topic.name.to_owned() }
 }
 
 /// Shared memory that both ends take at most, in bytes.

@@ -213,6 +213,27 @@ pub struct LinkSetup<'a> {
     pub linger: Duration,
 }
 
+/// Unit of messages of bytes. Bytes of their own kind that begin at multiples of 64 would each take 64: the library
+/// rounds every element of a slice up to the alignment of the whole.
+#[derive(Clone, Copy, Debug, ZeroCopySend, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+#[repr(align(64))]
+#[type_name("sortie.Block.v1")]
+pub(super) struct Block([u8; 64]);
+
+impl Block {
+    /// Blocks that hold so many bytes.
+    pub(super) fn holding(bytes: usize) -> usize {
+        bytes.div_ceil(size_of::<Self>())
+    }
+}
+
+impl Default for Block {
+    fn default() -> Self {
+        Self([0; 64])
+    }
+}
+
 /// A wire message inside an iceoryx2 payload: named, and marked as sendable by its own trait, which cannot be
 /// implemented for types of another crate.
 pub(super) trait Message: ZeroCopySend + std::fmt::Debug + Copy + 'static {

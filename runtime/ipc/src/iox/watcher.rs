@@ -10,7 +10,7 @@ use sortie_core::wire::{
     ABI, ActionMsg, AllocMsg, ControlRep, ControlReq, FrameFormat, FrameHeader, FrameView, Role,
     StatMsg,
 };
-use zerocopy::FromZeros;
+use zerocopy::{FromZeros, IntoBytes};
 
 use super::open::{Receiver, RequestClient, RequestServer, Sender, config, drain, send};
 use super::opener::{FrameReceiver, FrameTopic, Opener};
@@ -102,7 +102,7 @@ impl<S: LinkService> IoxWatcher<S> {
         let mut newest = None;
         while let Some(sample) = self.frames.receive().map_err(|_| LinkError::Frames)? {
             let header = sample.user_header().message();
-            if let Ok(view) = FrameView::new(header, sample.payload(), &self.format) {
+            if let Ok(view) = FrameView::new(header, sample.payload().as_bytes(), &self.format) {
                 newest = Some(FrameNews {
                     tick: header.tick,
                     world_term: header.world_term,

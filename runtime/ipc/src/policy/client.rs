@@ -181,7 +181,7 @@ impl<S: LinkService> Line for ServedLink<S> {
     fn receive<T>(&self, read: impl FnOnce(&[u8]) -> T) -> Option<T> {
         // A topic that fails is silent.
         let message = self.receive().ok().flatten()?;
-        Some(read(message.payload()))
+        Some(read(message.bytes()))
     }
 
     fn token(&self) -> u32 {

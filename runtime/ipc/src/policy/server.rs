@@ -151,7 +151,7 @@ impl PolicyServer {
                 newest = Some(message);
             }
             if let Some(message) = newest {
-                if let Some(served) = serving.answer(&self.link, message.payload()) {
+                if let Some(served) = serving.answer(&self.link, message.bytes()) {
                     told.note(&served);
                     observe(&served);
                 }

@@ -137,6 +137,10 @@ impl Kept {
         match status.code() {
             Some(0) if self.serves_another => return After::Again(FIRST_PAUSE),
             Some(0) => return After::Over,
+            // Nobody carries on without a world.
+            _ if policy.never && self.charge.role == Role::World => {
+                return After::GiveUp(Error::Child { name: name(), status });
+            }
             _ if policy.never => return After::Over,
             Some(BUSY) => return After::Again(BUSY_PAUSE),
             Some(code) if LASTING.contains(&code) => {

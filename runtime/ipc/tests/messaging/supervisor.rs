@@ -205,6 +205,29 @@ fn an_exit_code_that_would_come_again_is_given_up_at_once() {
 }
 
 #[test]
+fn a_world_that_fails_and_is_not_started_again_is_no_success() {
+    let _watchdog = Watchdog::new();
+    let domain = toy::domain();
+    let failing = |name: &str, role| {
+        let mut command = Command::new("sh");
+        command.args(["-c", "exit 3"]);
+        charge(name, role, 1, command)
+    };
+    let policy = RestartPolicy { never: true, ..RestartPolicy::default() };
+    let error = supervise_quietly(&domain, vec![failing("the world", Role::World)], &policy);
+    assert!(matches!(&error, Error::Child { name, .. } if name == "the world"), "{error}");
+    // Others may be missed.
+    let done = supervise(
+        &domain,
+        vec![failing("a runner", Role::Runner)],
+        &policy,
+        &mut |_| (),
+        &Stop::new(),
+    );
+    assert_eq!(done.expect("nobody is left").deaths, 1);
+}
+
+#[test]
 fn what_was_killed_all_at_once_starts_again_twenty_times() {
     let _watchdog = Watchdog::new();
     let domain = toy::domain();
