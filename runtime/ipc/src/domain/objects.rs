@@ -72,10 +72,9 @@ impl Domain {
             if !found.is_file() || found.blocks() * BLOCK >= found.len() {
                 continue;
             }
-            match fallocate(&file, FallocateFlags::KEEP_SIZE, 0, found.len()) {
-                Err(Errno::NOSPC) => return Err(full(&path)),
-                // Systems that cannot do it give pages as before.
-                _ => {}
+            // Systems that cannot do it give pages as before.
+            if let Err(Errno::NOSPC) = fallocate(&file, FallocateFlags::KEEP_SIZE, 0, found.len()) {
+                return Err(full(&path));
             }
         }
         Ok(())
