@@ -100,8 +100,12 @@ impl UtilityShape {
             parameters.tensor(&tensor.name, &tensor.shape, 1.0 / inputs.sqrt(), random);
         }
         // What is told of pairs is for the head that points; rows that are learned from are without it.
-        let Range { start, end } = self.targets.pairs();
-        parameters.values[first + start * self.width..first + end * self.width].fill(0.0);
+        self.forget(&mut parameters.values[first..], self.targets.pairs());
+    }
+
+    /// Takes columns of rows out of all parameters: rows that are learned from are without them, deployed ones are not.
+    pub fn forget(self, parameters: &mut [f32], columns: Range<usize>) {
+        parameters[columns.start * self.width..columns.end * self.width].fill(0.0);
     }
 }
 

@@ -1,5 +1,7 @@
 //! Teams at subtasks, written as input of the team-value network.
 
+use std::ops::Range;
+
 use sortie_envs::{EntitySet, Environment, Observation, SparseRows, Spec, members};
 
 use crate::alma::agents::{UtilityInput, UtilityShape};
@@ -10,17 +12,26 @@ use crate::alma::records::config::AllocatorConfig;
 pub struct TeamColumns {
     features: usize,
     relations: usize,
+    /// The first and the end of those in agents' rows that say how each stands to what it may aim at.
+    pairs: [usize; 2],
 }
 
 impl TeamColumns {
     /// Those of an environment.
     pub fn of(spec: &Spec) -> Self {
-        Self { features: spec.shape.features, relations: spec.relations }
+        let pairs = [spec.pairs.start, spec.pairs.end];
+        Self { features: spec.shape.features, relations: spec.relations, pairs }
     }
 
     /// Their number.
     pub fn count(self) -> usize {
         self.relation() + self.relations
+    }
+
+    /// Those that rows are without: what is told of each pair of an agent and a target is for who aims. To tell what a team
+    /// is worth they only hide the rest.
+    pub(in crate::alma::records) fn pairs(self) -> Range<usize> {
+        self.pairs[0]..self.pairs[1]
     }
 
     /// Marks the subtask's things; the first of them asks.
@@ -178,7 +189,9 @@ impl TeamValueInput {
 
     /// An agent's row; those of agents come first, as everything was observed.
     fn push_agent(&mut self, columns: TeamColumns, agent: usize, in_team: bool) {
-        self.others.push_row(&self.seen.rows, agent);
+        let (pairs, row) = (columns.pairs(), self.seen.rows.row(agent));
+        let own = row.filter(|(column, _)| !pairs.contains(column));
+        own.for_each(|(column, value)| self.others.push(column, value));
         if in_team {
             self.others.push(columns.in_team(), 1.0);
         }

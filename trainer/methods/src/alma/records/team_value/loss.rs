@@ -12,7 +12,7 @@ use sortie_learn::learner::{Loss, Shard};
 use sortie_learn::trajectory::{End, Place};
 use sortie_nn::tape::Parameters;
 
-use super::input::{TeamQuery, TeamValueInput};
+use super::input::{TeamColumns, TeamQuery, TeamValueInput};
 use crate::alma::agents::{UtilityLayers, UtilityShape};
 use crate::alma::records::config::AllocatorConfig;
 use crate::alma::records::replay::Moment;
@@ -93,6 +93,7 @@ impl TeamValues {
     pub fn new(config: &AllocatorConfig, spec: &Spec, random: &mut Random) -> (Self, Parameters) {
         let (shape, mut parameters) = (config.shape(spec), Parameters::default());
         shape.draw(&mut parameters, config.network.active_inputs, random);
+        shape.forget(&mut parameters.values, TeamColumns::of(spec).pairs());
         (Self { shape, layers: UtilityLayers::of(shape) }, parameters)
     }
 

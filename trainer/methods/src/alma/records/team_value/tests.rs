@@ -363,3 +363,33 @@ fn segments_that_ran_out_of_time_are_not_drawn() {
     let only = segments.oldest(0).after(8);
     assert!(drawn(&segments, 20).iter().all(|drawn| drawn.place == only));
 }
+
+#[test]
+fn what_is_told_of_pairs_is_in_no_question_and_has_no_weight() {
+    let set = "skirmish/6-8sz-symmetric";
+    let mut worlds = sortie_envs::open(set, Split::Train, 1, &Default::default()).unwrap();
+    let mut random = generator(5, Purpose::Rollout, 0);
+    worlds.reset(0, &mut random);
+    let (mut state, mut seen) = (Vec::new(), Observation::default());
+    worlds.save(0, &mut state);
+    worlds.observe(&state, 0, EntitySet::MAX, &mut seen);
+    let pairs = worlds.spec().pairs.clone();
+    let is_pair = |(column, _): &(usize, f32)| pairs.contains(column);
+    let told = |rows: &sortie_envs::SparseRows| {
+        (0..rows.len()).flat_map(|row| rows.row(row)).filter(is_pair).count()
+    };
+    assert!(told(&seen.rows) > 0, "agents are told of some");
+    let mut input = TeamValueInput::default();
+    let query = TeamQuery { state: &state, task: 0, team: 1, turn: 0 };
+    assert_eq!(told(&input.queries(&*worlds, [query].into_iter()).rows), 0);
+    assert_eq!(told(&input.all_teams(&*worlds, &state).rows), 0);
+    // Deployed rows have them.
+    let config = AllocatorConfig::default();
+    let (values, parameters) = TeamValues::new(&config, worlds.spec(), &mut random);
+    let width = values.shape.width;
+    let first_layer = &parameters.values[..values.shape.input * width];
+    for (column, weights) in first_layer.chunks_exact(width).enumerate() {
+        let is_forgotten = weights.iter().all(|weight| *weight == 0.0);
+        assert_eq!(is_forgotten, pairs.contains(&column), "column {column}");
+    }
+}
