@@ -47,6 +47,7 @@ pub mod random;
 #[cfg(feature = "std")]
 mod recorded;
 pub mod registry;
+pub mod routing;
 pub mod rows;
 pub mod save_the_city;
 pub mod skirmish;

@@ -16,6 +16,7 @@ pub const ENVIRONMENTS: &[Entry] = &[
     crate::gridworld::ENTRY,
     crate::skirmish::ENTRY,
     crate::smax::ENTRY,
+    crate::routing::ENTRY,
     crate::crafting::ENTRY,
     crate::treasure_rooms::ENTRY,
 ];

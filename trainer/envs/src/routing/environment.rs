@@ -1,0 +1,320 @@
+//! Routing as an [`Environment`]: many tours at once, and what they say of themselves.
+
+use alloc::boxed::Box;
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec::Vec;
+use core::ops::RangeInclusive;
+
+use rand_core::Rng;
+use serde::Deserialize;
+
+use super::VERSION;
+use super::exact::optimum;
+use super::instance::{CUSTOMERS, Instance};
+use super::observation::{Layout, ROW_ENTRIES, TURNS, feature_names};
+use super::picture::picture;
+use super::rules::{RULES, allocate, follow};
+use super::tour::Tour;
+use crate::bytes::{LAYOUT, known};
+use crate::entry::{Choice, Entry, EnvironmentError};
+use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
+use crate::observation::{EntitySet, Observation};
+use crate::picture::Picture;
+use crate::random::{Random, below};
+use crate::spec::{Metric, Shape, Spec};
+
+/// How `--env` finds it.
+pub const ENTRY: Entry = Entry {
+    name: "routing",
+    about: "Vehicles of limited capacity serve customers on short routes (dissertation section 7.4, figure 7.3)",
+    version: VERSION,
+    sets: || SETS.map(String::from).to_vec(),
+    open: |choice| Ok(Box::new(open(choice)?)),
+    rules: RULES,
+    reader: None,
+    #[cfg(feature = "std")]
+    recordings: None,
+};
+
+const SETS: [&str; 5] = ["5-15", "5", "10", "15", "20"];
+
+const METRICS: &[Metric] = &[
+    Metric {
+        name: "over_optimum",
+        unit: "times",
+        about: "length of all routes, by that of the shortest",
+        is_reported: true,
+    },
+    Metric { name: "length", unit: "sides", about: "length of all routes", is_reported: true },
+    Metric {
+        name: "vehicles",
+        unit: "vehicles",
+        about: "vehicles that left the depot",
+        is_reported: true,
+    },
+    Metric {
+        name: "waves",
+        unit: "rounds",
+        about: "rounds in which vehicles left the depot",
+        is_reported: true,
+    },
+    Metric { name: "trips", unit: "trips", about: "trips of all vehicles", is_reported: false },
+    Metric {
+        name: "forced",
+        unit: "rounds",
+        about: "rounds in which nobody moved by itself",
+        is_reported: false,
+    },
+];
+
+/// Instances of each size to measure on; those to learn from have seeds of 33 bits and more.
+const MEASURED: usize = 1_000;
+const MEASURED_SEEDS: u64 = 1_000_000;
+const FIRST_SEED: u64 = 1 << 32;
+
+/// What can be set.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Settings {
+    vehicles: usize,
+    /// What a vehicle holds; 0: 25, or 30 where there are more than 15 customers.
+    capacity: u8,
+    /// Whether a vehicle may leave the depot while others are outside.
+    sequential: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { vehicles: 4, capacity: 0, sequential: false }
+    }
+}
+
+/// Tours, many instances in one object.
+#[derive(Clone, Debug)]
+pub struct Routing {
+    spec: Spec,
+    layout: Layout,
+    sizes: RangeInclusive<usize>,
+    capacity: u8,
+    split: Split,
+    tours: Vec<Tour>,
+}
+
+impl Routing {
+    /// An instance to measure on, by its number below 1,000.
+    pub fn measured(&self, customers: usize, number: usize) -> Instance {
+        let seed = customers as u64 * MEASURED_SEEDS + number as u64;
+        self.drawn(seed, customers)
+    }
+
+    fn drawn(&self, seed: u64, customers: usize) -> Instance {
+        Instance::drawn(seed, customers, self.capacity, self.layout.vehicles).0
+    }
+
+    /// Begins an episode with an instance that has places for these vehicles; what is measured knows the shortest routes.
+    pub fn begin(&mut self, instance: usize, routed: Instance) {
+        let vehicles = self.layout.vehicles;
+        let best = if self.split == Split::Test { optimum(&routed, vehicles) } else { None };
+        self.tours[instance] = Tour::new(routed, vehicles, best);
+    }
+
+    fn read(&self, state: &[u8]) -> Result<Tour, StateError> {
+        let wanted = self.spec.state_bytes;
+        let (&found, bytes) = state.split_first().ok_or(StateError::Length { found: 0, wanted })?;
+        if found != LAYOUT {
+            return Err(StateError::Version { found, wanted: LAYOUT });
+        }
+        let tour: Option<Tour> = postcard::from_bytes(bytes).ok();
+        let fits = |tour: &Tour| {
+            tour.is_sound(self.layout.vehicles)
+                && self.sizes.contains(&tour.instance.customers())
+                && tour.instance.capacity == self.capacity
+        };
+        tour.filter(fits)
+            .ok_or_else(|| StateError::Impossible("it is no tour of these vehicles".into()))
+    }
+
+    /// Where agents head for by their actions, once all of them are available.
+    fn goals(&self, instance: usize, actions: &[u16]) -> Result<Vec<Option<u8>>, StepError> {
+        let tour = &self.tours[instance];
+        let agents = self.layout.vehicles;
+        if tour.is_over() {
+            return Err(StepError::EpisodeOver);
+        }
+        let too_few = StepError::TooFewActions { agents, actions: actions.len() };
+        let actions = actions.get(..agents).ok_or(too_few)?;
+        let goal = |(agent, action): (usize, &u16)| {
+            let open = self.layout.available(tour, agent);
+            match open.checked_shr((*action).into()) {
+                Some(open) if open & 1 == 1 => Ok(self.layout.goal(*action)),
+                _ => Err(StepError::Unavailable { agent, action: *action }),
+            }
+        };
+        actions.iter().enumerate().map(goal).collect()
+    }
+}
+
+pub(super) fn open(choice: &Choice<'_>) -> Result<Routing, EnvironmentError> {
+    let settings: Settings = choice.settings()?;
+    let set = choice.set.unwrap_or(SETS[0]);
+    let sizes = sizes(set).ok_or_else(|| {
+        EnvironmentError::Set(format!(
+            "no set `{set}`; there are numbers of customers from 1 to {CUSTOMERS}, such as `15`, and ranges, such as `5-15`"
+        ))
+    })?;
+    let Settings { vehicles, capacity, sequential } = settings;
+    let usual = if *sizes.end() > 15 { 30 } else { 25 };
+    let capacity = if capacity == 0 { usual } else { capacity };
+    let refused = |reason: &str| Err(EnvironmentError::Setting(reason.to_string()));
+    if !(1..=24).contains(&vehicles) {
+        return refused("`vehicles` is from 1 to 24");
+    }
+    // Demands are 5 in the mean: what is drawn should not be drawn again too often.
+    if capacity < 9 || usize::from(capacity) * vehicles < 6 * sizes.end() {
+        return refused(
+            "`capacity` is at least 9, and all vehicles together hold 6 for each customer",
+        );
+    }
+    let layout = Layout { vehicles, customers: *sizes.end(), sequential };
+    let spec = spec(layout);
+    let over = Tour::new(Instance::default(), vehicles, None);
+    let tours = alloc::vec![over; choice.instances];
+    Ok(Routing { spec, layout, sizes, capacity, split: choice.split, tours })
+}
+
+/// The numbers of customers of a set.
+fn sizes(set: &str) -> Option<RangeInclusive<usize>> {
+    let (least, most) = set.split_once('-').unwrap_or((set, set));
+    let (least, most) = (least.parse().ok()?, most.parse().ok()?);
+    (1 <= least && least <= most && most <= CUSTOMERS).then_some(least..=most)
+}
+
+fn spec(layout: Layout) -> Spec {
+    let Layout { vehicles: agents, customers, .. } = layout;
+    let tasks = customers + 1;
+    let (features, actions) = (feature_names(), layout.action_names());
+    Spec {
+        name: ENTRY.name,
+        version: VERSION,
+        shape: Shape {
+            agents,
+            entities: layout.entities(),
+            tasks,
+            actions: actions.len(),
+            features: features.len(),
+        },
+        features,
+        actions,
+        targets: agents..layout.entities(),
+        safe_action: Some(Layout::STAY),
+        has_success: false,
+        metrics: METRICS,
+        turns: TURNS,
+        rules: RULES,
+        row_entries: ROW_ENTRIES,
+        state_bytes: state_bytes(layout),
+        episode_limit: 2 * customers as u32,
+        ..Spec::default()
+    }
+}
+
+/// Most bytes of a state: lengths and numbers of two bytes take three at most.
+fn state_bytes(layout: Layout) -> usize {
+    let places = layout.customers + 1;
+    let instance = 2 + places * (16 + 1) + 1;
+    1 + instance + 1 + 3 * layout.vehicles + 1 + 2 * places + 3 * 3 + 8 + 9
+}
+
+impl Environment for Routing {
+    fn spec(&self) -> &Spec {
+        &self.spec
+    }
+
+    fn instances(&self) -> usize {
+        self.tours.len()
+    }
+
+    fn open(&self, instances: usize, split: Split) -> Box<dyn Environment> {
+        let over = Tour::new(Instance::default(), self.layout.vehicles, None);
+        Box::new(Self { tours: alloc::vec![over; instances], split, ..self.clone() })
+    }
+
+    fn reset(&mut self, instance: usize, random: &mut Random) {
+        let customers = self.sizes.start() + below(random, self.sizes.clone().count());
+        let drawn = match self.split {
+            Split::Train => self.drawn(random.next_u64() | FIRST_SEED, customers),
+            Split::Test => self.measured(customers, below(random, MEASURED)),
+        };
+        self.begin(instance, drawn);
+    }
+
+    fn step(
+        &mut self,
+        instance: usize,
+        actions: &[u16],
+        _: &mut Random,
+    ) -> Result<Step, StepError> {
+        let goals = self.goals(instance, actions)?;
+        let tour = &mut self.tours[instance];
+        let reward = -tour.round(&goals, self.layout.sequential);
+        // Every round asks anew who goes where.
+        Ok(Step { reward, terminated: tour.is_over(), timed_out: false, tasks_changed: true })
+    }
+
+    fn save(&self, instance: usize, state: &mut Vec<u8>) {
+        state.push(LAYOUT);
+        let written = postcard::to_extend(&self.tours[instance], core::mem::take(state));
+        *state = written.unwrap_or_default();
+    }
+
+    fn load(&mut self, instance: usize, state: &[u8]) -> Result<(), StateError> {
+        self.tours[instance] = self.read(state)?;
+        Ok(())
+    }
+
+    fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation) {
+        self.layout.observe(&known(self.read(state)), turn, wanted, seen);
+    }
+
+    fn picture(&self, state: &[u8]) -> Picture {
+        picture(&known(self.read(state)), self.layout)
+    }
+
+    fn episode(&self, instance: usize) -> Episode {
+        let tour = &self.tours[instance];
+        let done = tour.is_over();
+        let used = tour.vehicles.iter().filter(|vehicle| vehicle.trips > 0).count();
+        let trips: u32 = tour.vehicles.iter().map(|vehicle| u32::from(vehicle.trips)).sum();
+        let ratio = tour.optimum.filter(|_| done).map(|optimum| tour.length / optimum);
+        let counts = [used as f64, tour.waves.into(), trips.into(), tour.forced.into()];
+        Episode {
+            steps: tour.rounds.into(),
+            done,
+            episode_return: -tour.length,
+            group: format!("{} customers", tour.instance.customers()),
+            metrics: [ratio, Some(tour.length)].into_iter().chain(counts.map(Some)).collect(),
+            ..Episode::default()
+        }
+    }
+
+    /// The customer that a vehicle goes to, or the depot.
+    fn subtask_of(&self, _: &[u8], _: usize, action: u16) -> Option<usize> {
+        self.layout.goal(action).map(|place| self.layout.task_of(place.into()))
+    }
+
+    fn allocate(&self, rule: usize, state: &[u8], _: &mut Random, allocation: &mut [u8]) {
+        allocate(rule, &known(self.read(state)), self.layout, allocation);
+    }
+
+    fn scripted(
+        &self,
+        state: &[u8],
+        allocation: &[u8],
+        _: &mut Random,
+        actions: &mut [u16],
+    ) -> bool {
+        follow(&known(self.read(state)), self.layout, allocation, actions);
+        true
+    }
+}

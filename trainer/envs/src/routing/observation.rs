@@ -1,0 +1,161 @@
+//! What there is to see: a row for each vehicle, customer and the depot, all of it seen by everybody.
+
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec::Vec;
+
+use super::tour::Tour;
+use crate::observation::{EntitySet, Observation, members};
+use crate::rows::SparseRows;
+
+const FEATURES: [&str; 12] = [
+    "vehicle",
+    "customer",
+    "depot",
+    "x",
+    "y",
+    "distance to the depot",
+    "load",
+    "room",
+    "at the depot",
+    "demand",
+    "served",
+    "demand that waits",
+];
+/// Most of them that differ from zero in one row: a vehicle's.
+pub(super) const ROW_ENTRIES: usize = 8;
+/// Symmetries of the square.
+pub(super) const TURNS: usize = 8;
+
+pub(super) fn feature_names() -> Vec<String> {
+    FEATURES.map(String::from).to_vec()
+}
+
+/// Which entities there are, and which actions: vehicles, then customers, the depot last. An agent stays, or heads for one of
+/// those that are no vehicles.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Layout {
+    pub(super) vehicles: usize,
+    /// Most customers.
+    pub(super) customers: usize,
+    pub(super) sequential: bool,
+}
+
+impl Layout {
+    pub(super) const STAY: u16 = 0;
+
+    pub(super) fn entities(self) -> usize {
+        self.vehicles + self.customers + 1
+    }
+
+    /// The depot's subtask, the last one; those of customers are before it.
+    pub(super) fn task_of(self, place: usize) -> usize {
+        place.checked_sub(1).unwrap_or(self.customers)
+    }
+
+    /// The place that a subtask is to go to.
+    pub(super) fn place_of(self, task: usize) -> usize {
+        if task == self.customers { 0 } else { task + 1 }
+    }
+
+    fn entity_of(self, place: usize) -> usize {
+        self.vehicles + self.task_of(place)
+    }
+
+    pub(super) fn action_to(self, place: usize) -> u16 {
+        1 + self.task_of(place) as u16
+    }
+
+    /// Where an action leads; nowhere who stays.
+    pub(super) fn goal(self, action: u16) -> Option<u8> {
+        let task = usize::from(action).checked_sub(1)?;
+        Some(self.place_of(task) as u8)
+    }
+
+    pub(super) fn action_names(self) -> Vec<String> {
+        let customers = (1..=self.customers).map(|customer| format!("customer-{customer}"));
+        ["stay".to_string()].into_iter().chain(customers).chain(["depot".to_string()]).collect()
+    }
+
+    /// The actions that a vehicle may take, whatever the others do.
+    pub(super) fn available(self, tour: &Tour, vehicle: usize) -> u64 {
+        (0..tour.visits.len())
+            .filter(|place| tour.may_go(vehicle, *place, self.sequential))
+            .fold(1, |open, place| open | 1 << self.action_to(place))
+    }
+
+    pub(super) fn observe(
+        self,
+        tour: &Tour,
+        turn: usize,
+        wanted: EntitySet,
+        seen: &mut Observation,
+    ) {
+        let (entities, places) = (self.entities(), tour.visits.len());
+        seen.absent = 0;
+        seen.present = (1 << self.vehicles) - 1;
+        seen.entity_task.clear();
+        seen.entity_task.resize(entities, 0);
+        seen.open_tasks = 1 << self.task_of(0);
+        for place in 0..places {
+            let (entity, task) = (self.entity_of(place), self.task_of(place));
+            seen.present |= 1 << entity;
+            seen.entity_task[entity] = 1 << task;
+            seen.open_tasks |= u32::from(!tour.visits[place].is_done()) << task;
+        }
+        seen.entities = seen.present & wanted;
+        seen.observable.clear();
+        seen.observable.resize(self.vehicles, seen.present);
+        seen.available.clear();
+        seen.available.extend((0..self.vehicles).map(|vehicle| self.available(tour, vehicle)));
+        seen.rows.clear();
+        for entity in members(seen.entities) {
+            match entity.checked_sub(self.vehicles) {
+                None => write_vehicle(tour, entity, turn, &mut seen.rows),
+                Some(task) => write_place(tour, self.place_of(task), turn, &mut seen.rows),
+            }
+            seen.rows.end_row();
+        }
+    }
+}
+
+/// A place as a symmetry of the square shows it.
+fn turned([x, y]: [f64; 2], turn: usize) -> [f64; 2] {
+    let mirrored = |part: f64, is_mirrored| if is_mirrored { 1.0 - part } else { part };
+    let (x, y) = (mirrored(x, turn & 1 == 1), mirrored(y, turn & 2 == 2));
+    if turn & 4 == 4 { [y, x] } else { [x, y] }
+}
+
+/// The columns that every row has: its kind, and where it is.
+fn write_where(tour: &Tour, (kind, place): (usize, usize), turn: usize, rows: &mut SparseRows) {
+    let [x, y] = turned(tour.instance.places[place], turn);
+    rows.push(kind, 1.0);
+    rows.push_unless_zero(3, x as f32);
+    rows.push_unless_zero(4, y as f32);
+    rows.push_unless_zero(5, tour.instance.distance(place, 0) as f32);
+}
+
+/// The share of all demands that waits.
+fn write_waiting(tour: &Tour, rows: &mut SparseRows) {
+    let demand = |place: usize| f32::from(tour.instance.demands[place]);
+    let all: f32 = (0..tour.visits.len()).map(demand).sum();
+    rows.push_unless_zero(11, tour.waiting().map(demand).sum::<f32>() / all);
+}
+
+fn write_vehicle(tour: &Tour, number: usize, turn: usize, rows: &mut SparseRows) {
+    let (vehicle, capacity) = (tour.vehicles[number], f32::from(tour.instance.capacity));
+    write_where(tour, (0, vehicle.at.into()), turn, rows);
+    rows.push_unless_zero(6, f32::from(vehicle.load) / capacity);
+    rows.push_unless_zero(7, f32::from(tour.room(number)) / capacity);
+    rows.push_unless_zero(8, f32::from(u8::from(vehicle.at == 0)));
+    write_waiting(tour, rows);
+}
+
+fn write_place(tour: &Tour, place: usize, turn: usize, rows: &mut SparseRows) {
+    let kind = if place == 0 { 2 } else { 1 };
+    write_where(tour, (kind, place), turn, rows);
+    let demand = f32::from(tour.instance.demands[place]) / f32::from(tour.instance.capacity);
+    rows.push_unless_zero(9, demand);
+    rows.push_unless_zero(10, f32::from(u8::from(tour.visits[place].is_done())));
+    write_waiting(tour, rows);
+}

@@ -1,0 +1,313 @@
+//! Routing against recorded instances, against every order of few customers, and against its rules.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+
+use super::environment::Routing;
+use super::observation::Layout;
+use super::*;
+use crate::decisions::UNASSIGNED;
+use crate::random::generator;
+use crate::registry::Setting;
+use crate::{EntitySet, Environment, Observation, Split, StateError, conformance, open};
+
+#[derive(Deserialize)]
+struct Recorded {
+    seed: u64,
+    n: usize,
+    redraws: usize,
+    depot: Option<[f64; 2]>,
+    customers: Option<Vec<[f64; 2]>>,
+    demands: Option<Vec<u8>>,
+    optimum_le4_routes: f64,
+    greedy: f64,
+    greedy_reloads: usize,
+    ortools_default: Option<f64>,
+}
+
+fn recorded() -> Vec<Recorded> {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/golden/cvrp/instances.json");
+    serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap()
+}
+
+fn settings(settings: &[(&str, Setting)]) -> BTreeMap<String, Setting> {
+    settings.iter().map(|(name, value)| ((*name).into(), value.clone())).collect()
+}
+
+fn opened(set: &str, own: &[(&str, Setting)]) -> Box<dyn Environment> {
+    open(&format!("routing/{set}"), Split::Test, 1, &settings(own)).unwrap()
+}
+
+const ONE_BY_ONE: (&str, Setting) = ("sequential", Setting::Flag(true));
+
+/// An environment that plays this instance, by its own type.
+fn playing(instance: Instance, own: &[(&str, Setting)]) -> Routing {
+    let settings = settings(own);
+    let set = instance.customers().to_string();
+    let choice =
+        crate::Choice { set: Some(&set), split: Split::Test, instances: 1, settings: &settings };
+    let mut routing = environment::open(&choice).unwrap();
+    routing.begin(0, instance);
+    routing
+}
+
+fn saved(routing: &dyn Environment) -> Vec<u8> {
+    let mut state = Vec::new();
+    routing.save(0, &mut state);
+    state
+}
+
+/// Plays by a rule to the end: how often vehicles were sent home, customers left.
+fn follow(routing: &mut dyn Environment, rule: usize) -> usize {
+    let mut random = generator(1);
+    let agents = routing.spec().shape.agents;
+    let depot = routing.spec().shape.tasks as u8 - 1;
+    let (mut allocation, mut actions, mut sent_home) = (vec![0; agents], vec![0; agents], 0);
+    while !routing.episode(0).done {
+        let state = saved(routing);
+        routing.allocate(rule, &state, &mut random, &mut allocation);
+        assert!(routing.scripted(&state, &allocation, &mut random, &mut actions));
+        sent_home += allocation.iter().filter(|task| **task == depot).count();
+        let step = routing.step(0, &actions, &mut random).unwrap();
+        assert!(step.tasks_changed && step.reward <= 0.0);
+    }
+    sent_home
+}
+
+#[test]
+fn instances_optimum_and_greedy_are_the_recorded_ones() {
+    let mut with_places = 0;
+    for Recorded { seed, n, redraws, depot, customers, demands, .. } in recorded() {
+        let (instance, drawn_again) = Instance::drawn(seed, n, 25, 4);
+        assert_eq!(drawn_again, redraws, "{seed}");
+        let (Some(depot), Some(customers), Some(demands)) = (depot, customers, demands) else {
+            continue;
+        };
+        with_places += 1;
+        assert_eq!(instance.places, [vec![depot], customers].concat(), "{seed}");
+        assert_eq!(instance.demands, [vec![0], demands].concat(), "{seed}");
+    }
+    assert_eq!(with_places, 44);
+    for record in recorded() {
+        let seed = record.seed;
+        let instance = Instance::drawn(seed, record.n, 25, 4).0;
+        let mut routing = playing(instance.clone(), &[ONE_BY_ONE]);
+        let sent_home = follow(&mut routing, 1);
+        let episode = routing.episode(0);
+        let length = -episode.episode_return;
+        assert!((length - record.greedy).abs() < 1e-9, "{seed}: {length}");
+        assert_eq!(sent_home, record.greedy_reloads, "{seed}");
+        let best = optimum(&instance, 4).unwrap();
+        assert!((best - record.optimum_le4_routes).abs() < 1e-9, "{seed}: {best}");
+        assert_eq!(episode.metrics[0], Some(length / best));
+        assert!(record.ortools_default.is_none_or(|length| length > best - 1e-6), "{seed}");
+    }
+}
+
+/// Means over all thousand instances of a size, from another program.
+#[test]
+fn one_vehicle_to_the_nearest_is_as_far_off_as_measured_elsewhere() {
+    for (customers, measured) in [(5, 1.1383), (8, 1.2121), (10, 1.2422)] {
+        let mut routing = playing(Instance::drawn(1, customers, 25, 4).0, &[ONE_BY_ONE]);
+        let ratio = |number: usize| {
+            let instance = routing.measured(customers, number);
+            routing.begin(0, instance);
+            follow(&mut routing, 0);
+            let episode = routing.episode(0);
+            assert_eq!(episode.metrics[2], Some(1.0), "one vehicle drives everything");
+            episode.metrics[0].unwrap()
+        };
+        let mean = (0..1_000).map(ratio).sum::<f64>() / 1_000.0;
+        assert!((mean - measured).abs() < 1e-4, "{customers} customers: {mean}");
+    }
+}
+
+/// The shortest way through all customers from where a vehicle is, if it may go home whenever it likes.
+fn by_all_orders(instance: &Instance, left: &[usize], at: usize, room: u8, trips: usize) -> f64 {
+    if left.is_empty() {
+        return instance.distance(at, 0);
+    }
+    let go = |next: usize, from: usize, room: u8, trips: usize| {
+        let rest: Vec<usize> = left.iter().copied().filter(|other| *other != next).collect();
+        let room = room - instance.demands[next];
+        instance.distance(from, next) + by_all_orders(instance, &rest, next, room, trips)
+    };
+    let onward = left.iter().filter(|next| instance.demands[**next] <= room);
+    let onward = onward.map(|next| go(*next, at, room, trips)).fold(f64::INFINITY, f64::min);
+    if at == 0 || trips == 1 {
+        return onward;
+    }
+    let home = instance.distance(at, 0);
+    let again = left.iter().map(|next| home + go(*next, 0, instance.capacity, trips - 1));
+    again.fold(onward, f64::min)
+}
+
+#[test]
+fn nothing_is_shorter_than_the_optimum() {
+    for seed in 0..12 {
+        let customers = 1 + seed as usize % 6;
+        let instance = Instance::drawn(seed, customers, 12, 4).0;
+        for trips in 1..=4 {
+            let left: Vec<usize> = (1..=customers).collect();
+            let best = by_all_orders(&instance, &left, 0, 12, trips);
+            let found = optimum(&instance, trips);
+            match found {
+                Some(found) => assert!((found - best).abs() < 1e-12, "{seed}: {found}, {best}"),
+                None => assert_eq!(best, f64::INFINITY),
+            }
+        }
+    }
+    assert_eq!(optimum(&Instance::drawn(1, 16, 30, 4).0, 4), None, "it would take too long");
+    assert_eq!(optimum(&Instance::default(), 4), None);
+}
+
+#[test]
+fn all_sets_hold_to_the_laws() {
+    for set in ["5-15", "1", "10", "20", "31"] {
+        for sequential in [false, true] {
+            for vehicles in [4, 24] {
+                let own = [
+                    ("sequential", Setting::Flag(sequential)),
+                    ("vehicles", Setting::Whole(vehicles)),
+                    ("capacity", Setting::Whole(60)),
+                ];
+                assert_eq!(conformance::check(&*opened(set, &own), 3, 4), Ok(()), "{set}");
+            }
+        }
+    }
+}
+
+/// Customers to the right of the depot in a row, which ask for 5 each.
+fn in_a_row(customers: usize, capacity: u8) -> Instance {
+    let places = (0..=customers).map(|place| [place as f64 / 16.0, 0.0]).collect();
+    let demands = [vec![0], vec![5; customers]].concat();
+    Instance { places, demands, capacity }
+}
+
+/// What agents may do now, as sets of places.
+fn open_places(routing: &Routing) -> Vec<Vec<usize>> {
+    let mut seen = Observation::default();
+    routing.observe(&saved(routing), 0, EntitySet::MAX, &mut seen);
+    let layout =
+        Layout { vehicles: 4, customers: routing.spec().shape.tasks - 1, sequential: true };
+    let places = |open: &u64| {
+        (0..=layout.customers).filter(|place| open >> layout.action_to(*place) & 1 == 1).collect()
+    };
+    seen.available.iter().map(places).collect()
+}
+
+#[test]
+fn a_vehicle_leaves_the_depot_while_nobody_is_outside() {
+    let mut random = generator(1);
+    let capacity = ("capacity", Setting::Whole(10));
+    let mut routing = playing(in_a_row(4, 10), &[capacity.clone()]);
+    let all = vec![1, 2, 3, 4];
+    assert_eq!(open_places(&routing), vec![all.clone(); 4]);
+    // Action 2 leads to customer 2; agents 1 and 2 head for the same one, and the first gets it.
+    let step = routing.step(0, &[0, 2, 2, 0], &mut random).unwrap();
+    assert_eq!(step.reward, -0.125);
+    assert_eq!(open_places(&routing), [vec![], vec![0, 1, 3, 4], vec![], vec![]]);
+    routing.step(0, &[0, 4, 0, 0], &mut random).unwrap();
+    assert_eq!(open_places(&routing)[1], [0], "it is full");
+    // Nobody moves: all are sent home, since nobody may serve.
+    routing.step(0, &[0; 4], &mut random).unwrap();
+    assert_eq!(open_places(&routing), vec![vec![1, 3]; 4]);
+    let step = routing.step(0, &[1, 3, 0, 0], &mut random).unwrap();
+    assert!(step.terminated && !step.timed_out);
+    let episode = routing.episode(0);
+    // Out to 4 and back, to 1 and back, to 3 and back.
+    assert_eq!(episode.episode_return, -(8.0 + 2.0 + 6.0) / 16.0);
+    assert_eq!(episode.metrics[1..], [1.0, 2.0, 2.0, 3.0, 1.0].map(Some));
+    assert!(episode.done && !episode.timed_out && episode.steps == 4);
+
+    let mut routing = playing(in_a_row(4, 10), &[capacity, ONE_BY_ONE]);
+    routing.step(0, &[1, 0, 0, 0], &mut random).unwrap();
+    assert_eq!(
+        open_places(&routing),
+        [vec![0, 2, 3, 4], vec![2, 3, 4], vec![2, 3, 4], vec![2, 3, 4]]
+    );
+    // Nobody moves: whoever has the shortest way to a customer goes.
+    routing.step(0, &[0; 4], &mut random).unwrap();
+    assert_eq!(open_places(&routing)[0], [0]);
+}
+
+#[test]
+fn symmetries_turn_the_square_and_nothing_else() {
+    let routing = playing(Instance::drawn(7, 6, 25, 4).0, &[]);
+    let state = saved(&routing);
+    let rows = |turn| {
+        let mut seen = Observation::default();
+        routing.observe(&state, turn, EntitySet::MAX, &mut seen);
+        let mut dense = Vec::new();
+        seen.rows.write_all(12, &mut dense);
+        dense
+    };
+    let plain = rows(0);
+    let mut shown = vec![plain.clone()];
+    for turn in 1..8 {
+        let turned = rows(turn);
+        for (one, other) in plain.chunks(12).zip(turned.chunks(12)) {
+            assert_eq!((&one[..3], &one[5..]), (&other[..3], &other[5..]));
+            let middle = |row: &[f32]| (row[3] - 0.5).hypot(row[4] - 0.5);
+            assert!((middle(one) - middle(other)).abs() < 1e-6);
+        }
+        assert!(!shown.contains(&turned), "turn {turn} is another one");
+        shown.push(turned);
+    }
+}
+
+#[test]
+fn agents_without_a_place_to_go_to_stay() {
+    let routing = playing(in_a_row(3, 25), &[]);
+    let (state, mut actions) = (saved(&routing), [9; 4]);
+    let mut random = generator(1);
+    // The depot, where it is already; nothing; a subtask that is none; a customer.
+    assert!(routing.scripted(&state, &[3, UNASSIGNED, 30, 1], &mut random, &mut actions));
+    assert_eq!(actions, [0, 0, 0, 2]);
+}
+
+#[test]
+fn what_cannot_be_set_is_refused_and_named() {
+    let refused = |set: &str, own: &[(&str, Setting)]| {
+        let opened = open(&format!("routing/{set}"), Split::Train, 1, &settings(own));
+        opened.map(drop).unwrap_err().to_string()
+    };
+    for set in ["0", "32", "5-", "15-5", "-", "many", "5-15-20"] {
+        assert!(refused(set, &[]).starts_with(&format!("no set `{set}`; there are")), "{set}");
+    }
+    assert!(refused("5", &[("vehicles", Setting::Whole(25))]).contains("from 1 to 24"));
+    for (vehicles, capacity) in [(4, 8), (1, 60)] {
+        let own = [("vehicles", Setting::Whole(vehicles)), ("capacity", Setting::Whole(capacity))];
+        assert!(refused("15", &own).contains("`capacity` is at least 9"), "{vehicles}");
+    }
+    assert!(refused("5", &[("waves", Setting::Whole(1))]).contains("unknown field `waves`"));
+}
+
+#[test]
+fn bytes_that_are_no_tour_are_refused() {
+    let mut routing = playing(Instance::drawn(3, 5, 25, 4).0, &[]);
+    follow(&mut routing, 1);
+    let state = saved(&routing);
+    assert_eq!(routing.load(0, &state), Ok(()));
+    assert!(matches!(routing.load(0, &[]), Err(StateError::Length { found: 0, .. })));
+    assert!(matches!(routing.load(0, &[9]), Err(StateError::Version { found: 9, .. })));
+    // Whatever byte changes: it is refused, or an episode goes on from there.
+    let mut refused = 0;
+    for place in 1..state.len() {
+        for bit in 0..8 {
+            let mut other = state.clone();
+            other[place] ^= 1 << bit;
+            if routing.load(0, &other).is_err() {
+                refused += 1;
+                continue;
+            }
+            if !routing.episode(0).done {
+                follow(&mut routing, 1);
+            }
+        }
+    }
+    assert!(refused > 100, "{refused}");
+    let mut larger = opened("6", &[]);
+    assert!(matches!(larger.load(0, &state), Err(StateError::Impossible(_))));
+}
