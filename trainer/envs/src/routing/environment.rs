@@ -37,7 +37,9 @@ pub const ENTRY: Entry = Entry {
     recordings: None,
 };
 
-const SETS: [&str; 5] = ["5-15", "5", "10", "15", "20"];
+const SETS: [&str; 4] = ["5-15", "5-15-sequential", "15", "20"];
+/// What the name of a set ends with whose vehicles may leave the depot while others are outside.
+const SEQUENTIAL: &str = "-sequential";
 
 const METRICS: &[Metric] = &[
     Metric {
@@ -80,13 +82,11 @@ struct Settings {
     vehicles: usize,
     /// What a vehicle holds; 0: 25, or 30 where there are more than 15 customers.
     capacity: u8,
-    /// Whether a vehicle may leave the depot while others are outside.
-    sequential: bool,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { vehicles: 4, capacity: 0, sequential: false }
+        Self { vehicles: 4, capacity: 0 }
     }
 }
 
@@ -158,12 +158,17 @@ impl Routing {
 pub(super) fn open(choice: &Choice<'_>) -> Result<Routing, EnvironmentError> {
     let settings: Settings = choice.settings()?;
     let set = choice.set.unwrap_or(SETS[0]);
-    let sizes = sizes(set).ok_or_else(|| {
+    let (numbers, sequential) = match set.strip_suffix(SEQUENTIAL) {
+        Some(numbers) => (numbers, true),
+        None => (set, false),
+    };
+    let sizes = sizes(numbers).ok_or_else(|| {
         EnvironmentError::Set(format!(
-            "no set `{set}`; there are numbers of customers from 1 to {CUSTOMERS}, such as `15`, and ranges, such as `5-15`"
+            "no set `{set}`; there are numbers of customers from 1 to {CUSTOMERS}, such as `15`, and ranges, such as `5-15`, \
+             which may end with `{SEQUENTIAL}`: vehicles leave the depot one by one"
         ))
     })?;
-    let Settings { vehicles, capacity, sequential } = settings;
+    let Settings { vehicles, capacity } = settings;
     let usual = if *sizes.end() > 15 { 30 } else { 25 };
     let capacity = if capacity == 0 { usual } else { capacity };
     let refused = |reason: &str| Err(EnvironmentError::Setting(reason.to_string()));

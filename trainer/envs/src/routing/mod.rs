@@ -5,9 +5,9 @@
 //! Vehicles move in rounds, straight and all at once. The dissertation's instances are not public: those here are drawn as
 //! Nazari et al. (2018) and Kool et al. (2019) draw theirs, and measured against their exact optimum.
 //!
-//! Nothing in a total length asks for more than one vehicle: whoever may send them out one by one does so. Unless
-//! `sequential` is set a vehicle therefore leaves the depot only while none is outside: all routes of a wave are driven at
-//! the same time.
+//! Nothing in a total length asks for more than one vehicle: whoever may send them out one by one does so. A vehicle
+//! therefore leaves the depot only while none is outside, so that all routes of a wave are driven at the same time, but in
+//! `sequential` sets.
 
 mod environment;
 mod exact;

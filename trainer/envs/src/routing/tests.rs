@@ -39,12 +39,13 @@ fn opened(set: &str, own: &[(&str, Setting)]) -> Box<dyn Environment> {
     open(&format!("routing/{set}"), Split::Test, 1, &settings(own)).unwrap()
 }
 
-const ONE_BY_ONE: (&str, Setting) = ("sequential", Setting::Flag(true));
+const TOGETHER: &str = "";
+const ONE_BY_ONE: &str = "-sequential";
 
 /// An environment that plays this instance, by its own type.
-fn playing(instance: Instance, own: &[(&str, Setting)]) -> Routing {
-    let settings = settings(own);
-    let set = instance.customers().to_string();
+fn playing(instance: Instance, leaving: &str) -> Routing {
+    let settings = settings(&[("capacity", Setting::Whole(instance.capacity.into()))]);
+    let set = format!("{}{leaving}", instance.customers());
     let choice =
         crate::Choice { set: Some(&set), split: Split::Test, instances: 1, settings: &settings };
     let mut routing = environment::open(&choice).unwrap();
@@ -92,7 +93,7 @@ fn instances_optimum_and_greedy_are_the_recorded_ones() {
     for record in recorded() {
         let seed = record.seed;
         let instance = Instance::drawn(seed, record.n, 25, 4).0;
-        let mut routing = playing(instance.clone(), &[ONE_BY_ONE]);
+        let mut routing = playing(instance.clone(), ONE_BY_ONE);
         let sent_home = follow(&mut routing, 1);
         let episode = routing.episode(0);
         let length = -episode.episode_return;
@@ -109,7 +110,7 @@ fn instances_optimum_and_greedy_are_the_recorded_ones() {
 #[test]
 fn one_vehicle_to_the_nearest_is_as_far_off_as_measured_elsewhere() {
     for (customers, measured) in [(5, 1.1383), (8, 1.2121), (10, 1.2422)] {
-        let mut routing = playing(Instance::drawn(1, customers, 25, 4).0, &[ONE_BY_ONE]);
+        let mut routing = playing(Instance::drawn(1, customers, 25, 4).0, ONE_BY_ONE);
         let ratio = |number: usize| {
             let instance = routing.measured(customers, number);
             routing.begin(0, instance);
@@ -165,14 +166,12 @@ fn nothing_is_shorter_than_the_optimum() {
 #[test]
 fn all_sets_hold_to_the_laws() {
     for set in ["5-15", "1", "10", "20", "31"] {
-        for sequential in [false, true] {
+        for leaving in [TOGETHER, ONE_BY_ONE] {
             for vehicles in [4, 24] {
-                let own = [
-                    ("sequential", Setting::Flag(sequential)),
-                    ("vehicles", Setting::Whole(vehicles)),
-                    ("capacity", Setting::Whole(60)),
-                ];
-                assert_eq!(conformance::check(&*opened(set, &own), 3, 4), Ok(()), "{set}");
+                let own =
+                    [("vehicles", Setting::Whole(vehicles)), ("capacity", Setting::Whole(60))];
+                let routing = opened(&format!("{set}{leaving}"), &own);
+                assert_eq!(conformance::check(&*routing, 3, 4), Ok(()), "{set}{leaving}");
             }
         }
     }
@@ -200,8 +199,7 @@ fn open_places(routing: &Routing) -> Vec<Vec<usize>> {
 #[test]
 fn a_vehicle_leaves_the_depot_while_nobody_is_outside() {
     let mut random = generator(1);
-    let capacity = ("capacity", Setting::Whole(10));
-    let mut routing = playing(in_a_row(4, 10), &[capacity.clone()]);
+    let mut routing = playing(in_a_row(4, 10), TOGETHER);
     let all = vec![1, 2, 3, 4];
     assert_eq!(open_places(&routing), vec![all.clone(); 4]);
     // Action 2 leads to customer 2; agents 1 and 2 head for the same one, and the first gets it.
@@ -221,7 +219,7 @@ fn a_vehicle_leaves_the_depot_while_nobody_is_outside() {
     assert_eq!(episode.metrics[1..], [1.0, 2.0, 2.0, 3.0, 1.0].map(Some));
     assert!(episode.done && !episode.timed_out && episode.steps == 4);
 
-    let mut routing = playing(in_a_row(4, 10), &[capacity, ONE_BY_ONE]);
+    let mut routing = playing(in_a_row(4, 10), ONE_BY_ONE);
     routing.step(0, &[1, 0, 0, 0], &mut random).unwrap();
     assert_eq!(
         open_places(&routing),
@@ -234,7 +232,7 @@ fn a_vehicle_leaves_the_depot_while_nobody_is_outside() {
 
 #[test]
 fn symmetries_turn_the_square_and_nothing_else() {
-    let routing = playing(Instance::drawn(7, 6, 25, 4).0, &[]);
+    let routing = playing(Instance::drawn(7, 6, 25, 4).0, TOGETHER);
     let state = saved(&routing);
     let rows = |turn| {
         let mut seen = Observation::default();
@@ -259,7 +257,7 @@ fn symmetries_turn_the_square_and_nothing_else() {
 
 #[test]
 fn agents_without_a_place_to_go_to_stay() {
-    let routing = playing(in_a_row(3, 25), &[]);
+    let routing = playing(in_a_row(3, 25), TOGETHER);
     let (state, mut actions) = (saved(&routing), [9; 4]);
     let mut random = generator(1);
     // The depot, where it is already; nothing; a subtask that is none; a customer.
@@ -273,7 +271,7 @@ fn what_cannot_be_set_is_refused_and_named() {
         let opened = open(&format!("routing/{set}"), Split::Train, 1, &settings(own));
         opened.map(drop).unwrap_err().to_string()
     };
-    for set in ["0", "32", "5-", "15-5", "-", "many", "5-15-20"] {
+    for set in ["0", "32", "5-", "15-5", "-", "many", "5-15-20", "-sequential"] {
         assert!(refused(set, &[]).starts_with(&format!("no set `{set}`; there are")), "{set}");
     }
     assert!(refused("5", &[("vehicles", Setting::Whole(25))]).contains("from 1 to 24"));
@@ -286,7 +284,7 @@ fn what_cannot_be_set_is_refused_and_named() {
 
 #[test]
 fn bytes_that_are_no_tour_are_refused() {
-    let mut routing = playing(Instance::drawn(3, 5, 25, 4).0, &[]);
+    let mut routing = playing(Instance::drawn(3, 5, 25, 4).0, TOGETHER);
     follow(&mut routing, 1);
     let state = saved(&routing);
     assert_eq!(routing.load(0, &state), Ok(()));
