@@ -204,6 +204,7 @@ impl Laws {
             })?;
         }
         self.check_picture(state)?;
+        self.check_offers(state)?;
         self.check_relations(state)?;
         self.check_parts(state)
     }
@@ -222,6 +223,23 @@ impl Laws {
         let shares = picture.agents.iter().chain(&picture.things).flat_map(|disc| &disc.bars);
         let wrong = shares.copied().find(|bar| !(0.0..=1.0).contains(&bar.share));
         require(wrong.is_none(), || format!("{wrong:?} is no share"))
+    }
+
+    /// Who acts can be given what is open and nothing else.
+    fn check_offers(&self, state: &[u8]) -> Result<(), String> {
+        let mut offers = Vec::new();
+        let alone = self.played.offers(state, &mut offers);
+        let (open, acting) = (self.seen.open_tasks, self.seen.acting());
+        let is_sound = |(agent, offer): (usize, &u32)| {
+            offer & !open == 0 && (*offer == 0 || acting >> agent & 1 == 1)
+        };
+        let agents = offers.len() == self.spec.shape.agents;
+        require(agents && offers.iter().enumerate().all(is_sound), || {
+            format!("{open:b} are open, agents are offered {offers:?}")
+        })?;
+        require(u64::from(alone) >> self.spec.shape.tasks == 0, || {
+            format!("subtasks {alone:b} are for one agent alone")
+        })
     }
 
     /// Every entity stands somehow to every subtask.

@@ -262,6 +262,17 @@ pub trait Environment: Any + Send + Sync {
         None
     }
 
+    /// Writes `[A]` the open subtasks that each agent can be given, as bits, nothing for those that do not act; returns those
+    /// that one agent alone can have. Unless an environment knows more, everybody can have all.
+    fn offers(&self, state: &[u8], offers: &mut Vec<u32>) -> u32 {
+        let mut seen = Observation::default();
+        self.observe(state, 0, 0, &mut seen);
+        let offer = |agent| if seen.acting() >> agent & 1 == 1 { seen.open_tasks } else { 0 };
+        offers.clear();
+        offers.extend((0..seen.observable.len()).map(offer));
+        0
+    }
+
     /// Assigns every agent a subtask by one of the [rules](Spec::rules); `None` (255) for nobody and nothing.
     fn allocate(&self, rule: usize, state: &[u8], random: &mut Random, allocation: &mut [u8]) {
         let _ = (rule, state, random);

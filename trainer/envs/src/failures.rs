@@ -239,6 +239,13 @@ impl Environment for Failing {
         self.inner.potentials(self.own(state), scale, potentials);
     }
 
+    fn offers(&self, state: &[u8], offers: &mut Vec<u32>) -> u32 {
+        let (own, failed, _) = self.split(state);
+        let alone = self.inner.offers(own, offers);
+        members(failed.into()).for_each(|agent| offers[agent] = 0);
+        alone
+    }
+
     fn relate(
         &self,
         state: &[u8],

@@ -82,11 +82,13 @@ struct Settings {
     vehicles: usize,
     /// What a vehicle holds; 0: 25, or 30 where there are more than 15 customers.
     capacity: u8,
+    /// What each wave after the first costs where vehicles leave together; while learning alone.
+    wave_cost: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { vehicles: 4, capacity: 0 }
+        Self { vehicles: 4, capacity: 0, wave_cost: 1.0 }
     }
 }
 
@@ -97,6 +99,7 @@ pub struct Routing {
     layout: Layout,
     sizes: RangeInclusive<usize>,
     capacity: u8,
+    wave_cost: f64,
     split: Split,
     tours: Vec<Tour>,
 }
@@ -168,7 +171,7 @@ pub(super) fn open(choice: &Choice<'_>) -> Result<Routing, EnvironmentError> {
              which may end with `{SEQUENTIAL}`: vehicles leave the depot one by one"
         ))
     })?;
-    let Settings { vehicles, capacity } = settings;
+    let Settings { vehicles, capacity, wave_cost } = settings;
     let usual = if *sizes.end() > 15 { 30 } else { 25 };
     let capacity = if capacity == 0 { usual } else { capacity };
     let refused = |reason: &str| Err(EnvironmentError::Setting(reason.to_string()));
@@ -181,11 +184,15 @@ pub(super) fn open(choice: &Choice<'_>) -> Result<Routing, EnvironmentError> {
             "`capacity` is at least 9, and all vehicles together hold 6 for each customer",
         );
     }
+    if !(0.0..=100.0).contains(&wave_cost) {
+        return refused("`wave_cost` is from 0 to 100");
+    }
+    let wave_cost = if sequential { 0.0 } else { wave_cost };
     let layout = Layout { vehicles, customers: *sizes.end(), sequential };
     let spec = spec(layout);
     let over = Tour::new(Instance::default(), vehicles, None);
     let tours = alloc::vec![over; choice.instances];
-    Ok(Routing { spec, layout, sizes, capacity, split: choice.split, tours })
+    Ok(Routing { spec, layout, sizes, capacity, wave_cost, split: choice.split, tours })
 }
 
 /// The numbers of customers of a set.
@@ -228,7 +235,7 @@ fn spec(layout: Layout) -> Spec {
 fn state_bytes(layout: Layout) -> usize {
     let places = layout.customers + 1;
     let instance = 2 + places * (16 + 1) + 1;
-    1 + instance + 1 + 3 * layout.vehicles + 1 + 2 * places + 3 * 3 + 8 + 9
+    1 + instance + 1 + 3 * layout.vehicles + 1 + 2 * places + 3 * 3 + 8 + 8 + 9
 }
 
 impl Environment for Routing {
@@ -262,7 +269,13 @@ impl Environment for Routing {
     ) -> Result<Step, StepError> {
         let goals = self.goals(instance, actions)?;
         let tour = &mut self.tours[instance];
-        let reward = -tour.round(&goals, self.layout.sequential);
+        let waves = tour.waves;
+        let way = tour.round(&goals, self.layout.sequential);
+        // Nothing in a length asks for few waves: left alone a learner has one vehicle leave in each.
+        let is_late = tour.waves > waves.max(1) && self.split == Split::Train;
+        let cost = if is_late { self.wave_cost } else { 0.0 };
+        tour.costs += cost;
+        let reward = -(way + cost);
         // Every round asks anew who goes where.
         Ok(Step { reward, terminated: tour.is_over(), timed_out: false, tasks_changed: true })
     }
@@ -296,7 +309,7 @@ impl Environment for Routing {
         Episode {
             steps: tour.rounds.into(),
             done,
-            episode_return: -tour.length,
+            episode_return: -(tour.length + tour.costs),
             group: format!("{} customers", tour.instance.customers()),
             metrics: [ratio, Some(tour.length)].into_iter().chain(counts.map(Some)).collect(),
             ..Episode::default()
@@ -306,6 +319,16 @@ impl Environment for Routing {
     /// The customer that a vehicle goes to, or the depot.
     fn subtask_of(&self, _: &[u8], _: usize, action: u16) -> Option<usize> {
         self.layout.goal(action).map(|place| self.layout.task_of(place.into()))
+    }
+
+    /// A customer is for one vehicle that may go there; the depot is for all.
+    fn offers(&self, state: &[u8], offers: &mut Vec<u32>) -> u32 {
+        let (tour, layout) = (&known(self.read(state)), self.layout);
+        let depot = 1 << layout.task_of(0);
+        let offer = |vehicle| (layout.available(tour, vehicle) >> 1) as u32 | depot;
+        offers.clear();
+        offers.extend((0..layout.vehicles).map(offer));
+        depot - 1
     }
 
     fn allocate(&self, rule: usize, state: &[u8], _: &mut Random, allocation: &mut [u8]) {

@@ -231,6 +231,22 @@ fn a_vehicle_leaves_the_depot_while_nobody_is_outside() {
 }
 
 #[test]
+fn while_learning_waves_after_the_first_cost_something() {
+    let return_of = |split, set: &str| {
+        let mut routing = open(&format!("routing/{set}"), split, 1, &settings(&[])).unwrap();
+        routing.reset(0, &mut generator(4));
+        follow(&mut *routing, 0);
+        let episode = routing.episode(0);
+        let [length, waves] = [1, 3].map(|metric| episode.metrics[metric].unwrap());
+        (episode.episode_return + length, waves)
+    };
+    let (costs, waves) = return_of(Split::Train, "15");
+    assert!(waves > 1.0 && (costs - (1.0 - waves)).abs() < 1e-9, "{costs}, {waves} waves");
+    assert_eq!(return_of(Split::Test, "15").0, 0.0);
+    assert_eq!(return_of(Split::Train, "15-sequential").0, 0.0);
+}
+
+#[test]
 fn symmetries_turn_the_square_and_nothing_else() {
     let routing = playing(Instance::drawn(7, 6, 25, 4).0, TOGETHER);
     let state = saved(&routing);
@@ -279,6 +295,7 @@ fn what_cannot_be_set_is_refused_and_named() {
         let own = [("vehicles", Setting::Whole(vehicles)), ("capacity", Setting::Whole(capacity))];
         assert!(refused("15", &own).contains("`capacity` is at least 9"), "{vehicles}");
     }
+    assert!(refused("5", &[("wave_cost", Setting::Number(-1.0))]).contains("from 0 to 100"));
     assert!(refused("5", &[("waves", Setting::Whole(1))]).contains("unknown field `waves`"));
 }
 

@@ -50,6 +50,8 @@ pub(super) struct Tour {
     pub(super) forced: u16,
     /// Of all routes so far.
     pub(super) length: f64,
+    /// What was taken off besides, while learning.
+    pub(super) costs: f64,
     /// Of the shortest routes, where that is known.
     pub(super) optimum: Option<f64>,
 }
@@ -196,7 +198,7 @@ impl Tour {
             && self.vehicles.iter().all(is_vehicle)
             && usize::from(self.rounds) <= 2 * served
             && self.waves.max(self.forced) <= self.rounds
-            && self.length.is_finite()
+            && (self.length + self.costs).is_finite()
             && self.optimum.is_none_or(|optimum| optimum.is_finite() && optimum > 0.0)
     }
 }
