@@ -118,8 +118,13 @@ impl Routing {
     /// Begins an episode with an instance that has places for these vehicles; what is measured knows the shortest routes.
     pub fn begin(&mut self, instance: usize, routed: Instance) {
         let vehicles = self.layout.vehicles;
-        let best = if self.split == Split::Test { optimum(&routed, vehicles) } else { None };
-        self.tours[instance] = Tour::new(routed, vehicles, best);
+        self.tours[instance] = match self.split {
+            Split::Train => Tour { wave_cost: self.wave_cost, ..Tour::new(routed, vehicles, None) },
+            Split::Test => {
+                let best = optimum(&routed, vehicles);
+                Tour::new(routed, vehicles, best)
+            }
+        };
     }
 
     fn read(&self, state: &[u8]) -> Result<Tour, StateError> {
@@ -235,7 +240,7 @@ fn spec(layout: Layout) -> Spec {
 fn state_bytes(layout: Layout) -> usize {
     let places = layout.customers + 1;
     let instance = 2 + places * (16 + 1) + 1;
-    1 + instance + 1 + 3 * layout.vehicles + 1 + 2 * places + 3 * 3 + 8 + 8 + 9
+    1 + instance + 1 + 3 * layout.vehicles + 1 + 2 * places + 3 * 3 + 3 * 8 + 9
 }
 
 impl Environment for Routing {
@@ -269,13 +274,7 @@ impl Environment for Routing {
     ) -> Result<Step, StepError> {
         let goals = self.goals(instance, actions)?;
         let tour = &mut self.tours[instance];
-        let waves = tour.waves;
-        let way = tour.round(&goals, self.layout.sequential);
-        // Nothing in a length asks for few waves: left alone a learner has one vehicle leave in each.
-        let is_late = tour.waves > waves.max(1) && self.split == Split::Train;
-        let cost = if is_late { self.wave_cost } else { 0.0 };
-        tour.costs += cost;
-        let reward = -(way + cost);
+        let reward = -tour.round(&goals, self.layout.sequential);
         // Every round asks anew who goes where.
         Ok(Step { reward, terminated: tour.is_over(), timed_out: false, tasks_changed: true })
     }

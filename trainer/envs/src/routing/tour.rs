@@ -50,7 +50,8 @@ pub(super) struct Tour {
     pub(super) forced: u16,
     /// Of all routes so far.
     pub(super) length: f64,
-    /// What was taken off besides, while learning.
+    /// What each wave after the first costs besides, and all of them have.
+    pub(super) wave_cost: f64,
     pub(super) costs: f64,
     /// Of the shortest routes, where that is known.
     pub(super) optimum: Option<f64>,
@@ -111,10 +112,20 @@ impl Tour {
         }
     }
 
+    /// Moves all vehicles, see [`move_all`](Self::move_all): what the round costs.
+    pub(super) fn round(&mut self, goals: &[Option<u8>], sequential: bool) -> f64 {
+        let waves = self.waves;
+        let way = self.move_all(goals, sequential);
+        // Nothing in a length asks for few waves: left alone a learner has one vehicle leave in each.
+        let cost = if self.waves > waves.max(1) { self.wave_cost } else { 0.0 };
+        self.costs += cost;
+        way + cost
+    }
+
     /// Moves all vehicles to the places that they head for, all of which they [may](Self::may_go) go to. Of two that head for
     /// one customer the lower goes, the other one stays. When the last customer is served everybody goes home. Returns the
     /// way of all together.
-    pub(super) fn round(&mut self, goals: &[Option<u8>], sequential: bool) -> f64 {
+    fn move_all(&mut self, goals: &[Option<u8>], sequential: bool) -> f64 {
         let mut goals: Vec<Option<u8>> = goals.to_vec();
         for vehicle in 1..goals.len() {
             let (before, own) = goals.split_at_mut(vehicle);
@@ -198,7 +209,7 @@ impl Tour {
             && self.vehicles.iter().all(is_vehicle)
             && usize::from(self.rounds) <= 2 * served
             && self.waves.max(self.forced) <= self.rounds
-            && (self.length + self.costs).is_finite()
+            && (self.length + self.wave_cost + self.costs).is_finite()
             && self.optimum.is_none_or(|optimum| optimum.is_finite() && optimum > 0.0)
     }
 }
