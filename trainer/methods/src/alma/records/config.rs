@@ -5,7 +5,7 @@ use sortie_learn::configuration::Range::{self, Number, OneOf, Positive, Text, Tr
 use sortie_learn::configuration::{OPTIMISER, SHARE, STEPS, exploration, require};
 use sortie_learn::networks::{AimedHead, MixerKind, Targets};
 use sortie_learn::session::{EnvironmentChoice, Setup};
-use sortie_learn::{LearnError, section, sections};
+use sortie_learn::{LearnError, section, sections, words};
 
 use crate::alma::agents::{Columns, Conditioning, UtilityShape};
 
@@ -102,6 +102,9 @@ sections! {
         decides_from: u64 = 150_000, Whole(0, STEPS), "environment steps";
         /// Worth of a reward one step later.
         discount: f32 = 0.99, SHARE, "factor per step";
+        /// What a team is credited with: what its own subtask earns, or its part in what all do, which tells of teams that are
+        /// missed elsewhere too.
+        credit: Credit = Credit::Subtask, OneOf(Credit::WORDS);
         /// Who is moved to a random open subtask in a decision to explore.
         moved: f64 = 0.15, SHARE, "share of the agents";
         /// How often agents are moved at all.
@@ -124,6 +127,16 @@ sections! {
             average_rate: 0.001,
             ..OptimiserConfig::default()
         }, OPTIMISER;
+    }
+}
+
+words! {
+    /// What teams at subtasks are credited with.
+    Credit {
+        /// What their own subtask earns.
+        Subtask = "subtask",
+        /// Their part in what all subtasks earn.
+        Team = "team",
     }
 }
 

@@ -245,7 +245,8 @@ impl Allocator {
         }
         let turns = if config.replay.symmetries { environment.spec().turns } else { 1 };
         let experience = (environment, &*segments);
-        let draw = |_| DrawnSegment::draw(experience, turns, seen, random);
+        let rules = (config.credit, turns);
+        let draw = |_| DrawnSegment::draw(experience, rules, seen, random);
         drawn.clear();
         drawn.extend((0..config.replay.batch).filter_map(draw));
         let shards = drawn.len().div_ceil(SEGMENTS);

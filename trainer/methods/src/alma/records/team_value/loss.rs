@@ -4,6 +4,10 @@
 //! the next team being the one really sent next. A subtask that is closed by then adds nothing. Loss:
 //! squared difference. A drawn segment counts for one of the subtasks that were open, drawn as well:
 //! the subtasks of one decision have much in common, and teach less together than those of several.
+//!
+//! Where a team that is missing at one subtask ends all others too, as when one army takes the base, no subtask's own
+//! rewards tell of it. There teams are credited together: the values of all subtasks add up to what the whole team earns,
+//! `sum of f = all rewards of the segment + discount * sum of f_target`, so that whose absence it was can show.
 
 use sortie_envs::random::below;
 use sortie_envs::{Environment, Observation, Random, Spec, members};
@@ -14,7 +18,7 @@ use sortie_nn::tape::Parameters;
 
 use super::input::{TeamColumns, TeamQuery, TeamValueInput};
 use crate::alma::agents::{UtilityLayers, UtilityShape};
-use crate::alma::records::config::AllocatorConfig;
+use crate::alma::records::config::{AllocatorConfig, Credit};
 use crate::alma::records::replay::Moment;
 
 /// Segments of a shard: few enough for their activations to stay in cache.
@@ -24,13 +28,13 @@ pub(in crate::alma::records) const SEGMENTS: usize = 64;
 /// not learned from: nobody decided then, so that there is no next team to value.
 pub type Segments = Trajectories<f32>;
 
-/// A segment, one of the subtasks that were open when it began, and how it is turned.
+/// A segment, subtasks that were open when it began, one of them or all, and how it is turned.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnSegment {
     /// The segment.
     pub place: Place,
-    /// The subtask.
-    pub task: usize,
+    /// The subtasks, as bits.
+    pub tasks: u32,
     /// Number of the environment's symmetry.
     pub turn: usize,
 }
@@ -48,10 +52,10 @@ pub struct TeamValues {
 pub struct TeamLesson {
     input: TeamValueInput,
     seen: Observation,
-    /// Those of what was learned from last.
+    /// Those of what was learned from last, and what the network said; of each segment one number.
     pub(super) targets: Vec<f32>,
-    /// Places in the lesson of what has a next decision.
-    followed: Vec<usize>,
+    /// The segments' places in the lesson, by queries.
+    asked_for: Vec<u32>,
     /// Floating-point operations of the last use.
     pub operations: u64,
 }
@@ -63,7 +67,7 @@ impl DrawnSegment {
     /// Draws one under any of so many symmetries.
     pub fn draw(
         (environment, segments): (&dyn Environment, &Segments),
-        turns: usize,
+        (credit, turns): (Credit, usize),
         seen: &mut Observation,
         random: &mut Random,
     ) -> Option<Self> {
@@ -75,16 +79,30 @@ impl DrawnSegment {
             let decision = Moment::read(segments.state(place), environment.spec().shape.agents);
             environment.observe(decision.state, 0, 0, seen);
             let open = seen.open_tasks;
-            let number = below(random, open.count_ones().max(1) as usize);
-            let task = members(open.into()).nth(number)?;
-            Some(Self { place, task, turn: below(random, turns) })
+            let tasks = match credit {
+                Credit::Team => open,
+                Credit::Subtask => {
+                    let number = below(random, open.count_ones().max(1) as usize);
+                    1 << members(open.into()).nth(number)?
+                }
+            };
+            (tasks != 0).then(|| Self { place, tasks, turn: below(random, turns) })
         })
     }
 
-    /// What its subtask's team is asked in a decision.
-    fn query(self, decision: Moment<'_>) -> TeamQuery<'_> {
-        let Self { task, turn, .. } = self;
-        TeamQuery { state: decision.state, task, team: decision.team(task), turn }
+    /// What the teams of some of its subtasks are asked in a decision.
+    fn queries<'a>(
+        self,
+        decision: Moment<'a>,
+        tasks: u32,
+    ) -> impl Iterator<Item = TeamQuery<'a>> + Clone {
+        let (state, turn) = (decision.state, self.turn);
+        members((self.tasks & tasks).into()).map(move |task| TeamQuery {
+            state,
+            task,
+            team: decision.team(task),
+            turn,
+        })
     }
 }
 
@@ -107,50 +125,57 @@ impl TeamValues {
     ) -> Loss {
         self.find_targets(shard, (environment, segments), drawn);
         let Shard { pass, space: lesson, .. } = shard;
-        let TeamLesson { input, targets, operations, .. } = &mut **lesson;
+        let TeamLesson { input, targets, asked_for, operations, .. } = &mut **lesson;
+        asked_for.clear();
         let decision = |place| Moment::read(segments.state(place), environment.spec().shape.agents);
-        let queries = drawn.iter().map(|drawn| drawn.query(decision(drawn.place)));
+        let queries = (0_u32..).zip(drawn).flat_map(|(number, drawn)| {
+            drawn.queries(decision(drawn.place), u32::MAX).map(move |query| (number, query))
+        });
+        asked_for.extend(queries.clone().map(|(number, _)| number));
+        let queries = queries.map(|(_, query)| query);
         let values = self.layers.utilities(pass, input.queries(environment, queries));
-        let loss = Loss::mean_square(pass, values, targets, count);
+        let sums = pass.scatter(values, asked_for, drawn.len());
+        let loss = Loss::mean_square(pass, sums, targets, count);
         *operations += pass.operations(true);
         loss
     }
 
-    /// Writes the target of every drawn subtask.
+    /// Writes the target of every drawn segment.
     fn find_targets(
         &self,
         shard: &mut Shard<'_, TeamLesson>,
         (environment, segments): (&dyn Environment, &Segments),
         drawn: &[DrawnSegment],
     ) {
-        let TeamLesson { input, seen, targets, followed, operations } = &mut *shard.space;
-        let reward = |drawn: &DrawnSegment| segments.rewards(drawn.place).tasks[drawn.task];
+        let TeamLesson { input, seen, targets, asked_for, operations } = &mut *shard.space;
+        let reward = |drawn: &DrawnSegment| {
+            let rewards = segments.rewards(drawn.place).tasks;
+            members(drawn.tasks.into()).map(|task| rewards[task]).sum::<f32>()
+        };
         targets.clear();
         targets.extend(drawn.iter().map(reward));
-        let next = |drawn: &DrawnSegment| {
-            let bytes = segments.state(drawn.place.after(1));
-            Moment::read(bytes, environment.spec().shape.agents)
-        };
-        let mut goes_on = |drawn: &DrawnSegment| {
-            segments.end(drawn.place) == End::Open && {
-                environment.observe(next(drawn).state, 0, 0, seen);
-                seen.open_tasks >> drawn.task & 1 == 1
-            }
-        };
-        followed.clear();
-        followed.extend((0..drawn.len()).filter(|number| goes_on(&drawn[*number])));
+        asked_for.clear();
         *operations = 0;
-        if followed.is_empty() {
+        let mut queries = Vec::new();
+        for (number, drawn) in (0_u32..).zip(drawn) {
+            if segments.end(drawn.place) != End::Open {
+                continue;
+            }
+            let bytes = segments.state(drawn.place.after(1));
+            let next = Moment::read(bytes, environment.spec().shape.agents);
+            environment.observe(next.state, 0, 0, seen);
+            queries.extend(drawn.queries(next, seen.open_tasks));
+            asked_for.resize(queries.len(), number);
+        }
+        if queries.is_empty() {
             return;
         }
-        let queries = followed.iter().map(|number| {
-            let drawn = &drawn[*number];
-            drawn.query(next(drawn))
-        });
         let mut pass = shard.spare.begin(shard.target);
-        let values = self.layers.utilities(&mut pass, input.queries(environment, queries));
-        for (number, value) in followed.iter().zip(pass.values(values)) {
-            targets[*number] += segments.note(drawn[*number].place) * value;
+        let values =
+            self.layers.utilities(&mut pass, input.queries(environment, queries.into_iter()));
+        for (number, value) in asked_for.iter().zip(pass.values(values)) {
+            let number = *number as usize;
+            targets[number] += segments.note(drawn[number].place) * value;
         }
         *operations += pass.operations(false);
     }

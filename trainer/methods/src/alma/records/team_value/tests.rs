@@ -10,7 +10,7 @@ use sortie_nn::tape::Parameters;
 
 use super::*;
 use crate::alma::agents::UtilityNetwork;
-use crate::alma::records::config::AllocatorConfig;
+use crate::alma::records::config::{AllocatorConfig, Credit};
 use crate::alma::records::replay::Moment;
 use crate::alma::records::tests::toy::{AGENTS, Street, toy};
 use crate::alma::records::tests::{assert_gradients, gradient};
@@ -290,9 +290,10 @@ fn segments() -> Segments {
     segments
 }
 
-fn drawn(segments: &Segments, count: usize) -> Vec<DrawnSegment> {
+fn drawn(segments: &Segments, credit: Credit, count: usize) -> Vec<DrawnSegment> {
     let (mut seen, mut random) = (Observation::default(), generator(7, Purpose::Replay, 0));
-    let draw = || DrawnSegment::draw((&toy(), segments), 2, &mut seen, &mut random).unwrap();
+    let draw =
+        || DrawnSegment::draw((&toy(), segments), (credit, 2), &mut seen, &mut random).unwrap();
     std::iter::repeat_with(draw).take(count).collect()
 }
 
@@ -305,11 +306,14 @@ fn values(skip: bool, seed: u64) -> (TeamValues, Parameters) {
 #[test]
 fn the_gradient_of_the_loss_agrees_with_finite_differences() {
     let segments = segments();
-    let drawn = drawn(&segments, 20);
-    for skip in [false, true] {
+    for (skip, credit) in [(false, Credit::Subtask), (true, Credit::Subtask), (true, Credit::Team)]
+    {
+        // The subtasks of a segment show the same rows, which all cross a kink together.
+        let count = if credit == Credit::Team { 3 } else { 20 };
+        let drawn = drawn(&segments, credit, count);
         let ((values, online), (_, target)) = (values(skip, 1), values(skip, 2));
         assert_gradients(&online, &target.values, |shard| {
-            values.loss(shard, (&toy() as &dyn Environment, &segments), &drawn, 20)
+            values.loss(shard, (&toy() as &dyn Environment, &segments), &drawn, count)
         });
     }
 }
@@ -319,16 +323,19 @@ fn closed_subtasks_and_ended_episodes_do_not_bootstrap() {
     let (segments, environment) = (segments(), toy());
     let (values, parameters) = values(false, 2);
     let mut bootstrapped = 0;
-    for drawn in drawn(&segments, 200) {
+    for drawn in drawn(&segments, Credit::Subtask, 200) {
         gradient([&parameters.values, &parameters.values], |shard: &mut Shard<'_, TeamLesson>| {
             let loss = values.loss(shard, (&environment, &segments), &[drawn], 1);
             let decision = |place| Moment::read(segments.state(place), AGENTS);
             let goes_on = segments.end(drawn.place) == End::Open && {
                 let mut seen = Observation::default();
                 environment.observe(decision(drawn.place.after(1)).state, 0, 0, &mut seen);
-                seen.open_tasks >> drawn.task & 1 == 1
+                seen.open_tasks & drawn.tasks != 0
             };
-            assert_eq!(shard.space.targets[0] != drawn.task as f32 - 1.0, goes_on);
+            assert_eq!(
+                shard.space.targets[0] != drawn.tasks.trailing_zeros() as f32 - 1.0,
+                goes_on
+            );
             loss
         });
         bootstrapped += usize::from(segments.end(drawn.place) == End::Open);
@@ -361,7 +368,7 @@ fn segments_that_ran_out_of_time_are_not_drawn() {
         segments.push_noted(&transition, 1.0);
     }
     let only = segments.oldest(0).after(8);
-    assert!(drawn(&segments, 20).iter().all(|drawn| drawn.place == only));
+    assert!(drawn(&segments, Credit::Subtask, 20).iter().all(|drawn| drawn.place == only));
 }
 
 #[test]

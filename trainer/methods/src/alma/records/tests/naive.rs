@@ -12,6 +12,7 @@ use sortie_envs::save_the_city::{
 
 use super::{city, gradient, played, samples, usual};
 use crate::alma::agents::{Conditioning, NO_ACTION, UtilityNetwork, transpose};
+use crate::alma::records::config::Credit;
 use crate::alma::records::lesson::{Drawn, Experience, Networks};
 use crate::alma::records::replay::Moment;
 use crate::alma::records::team_value::{DrawnSegment, TeamValues};
@@ -308,10 +309,13 @@ fn value_in(
 
 #[test]
 fn the_loss_of_every_segment_is_that_of_the_rules() {
-    [false, true].into_iter().for_each(check_losses);
+    for (skip, credit) in [(false, Credit::Subtask), (true, Credit::Subtask), (true, Credit::Team)]
+    {
+        check_losses(skip, credit);
+    }
 }
 
-fn check_losses(skip: bool) {
+fn check_losses(skip: bool, credit: Credit) {
     let config = allocator_config(skip);
     let (method, city) = (played(config.clone(), 100), city(&config));
     let network = |seed| TeamValues::new(&config.allocator, city.spec(), &mut generator(seed));
@@ -326,24 +330,25 @@ fn check_losses(skip: bool) {
     let (mut random, mut seen) = (generator(3), Default::default());
     let (mut moved, mut closed) = (0, 0);
     for number in 0..600 {
-        let drawn = DrawnSegment::draw(experience, 8, &mut seen, &mut random).unwrap();
-        let DrawnSegment { place, task, turn } = drawn;
+        let drawn = DrawnSegment::draw(experience, (credit, 8), &mut seen, &mut random).unwrap();
+        let DrawnSegment { place, tasks, turn } = drawn;
         let map = Map(turn as u8);
         let agents = city.spec().shape.agents;
         let [now, next] =
             [place, place.after(1)].map(|place| Moment::read(segments.state(place), agents));
-        let mut wanted = f64::from(segments.rewards(place).tasks[task]);
-        let goes_on = segments.end(place) == sortie_learn::trajectory::End::Open
-            && with_city(next.state, |city| city.open_tasks()) >> task & 1 == 1;
-        if goes_on {
-            let next_value = value(&other, next, task, map);
-            wanted += f64::from(*segments.note(place)) * next_value;
-            moved += usize::from(next.team(task) != now.team(task));
-        } else {
-            closed += 1;
+        let mut error = 0.0;
+        for task in members(tasks.into()) {
+            error += value(&own, now, task, map) - f64::from(segments.rewards(place).tasks[task]);
+            let goes_on = segments.end(place) == sortie_learn::trajectory::End::Open
+                && with_city(next.state, |city| city.open_tasks()) >> task & 1 == 1;
+            if goes_on {
+                error -= f64::from(*segments.note(place)) * value(&other, next, task, map);
+                moved += usize::from(next.team(task) != now.team(task));
+            } else {
+                closed += 1;
+            }
         }
-        let error = value(&own, now, task, map) - wanted;
-        let what = format!("segment {number}, building {task}, map {turn}");
+        let what = format!("segment {number}, buildings {tasks:b}, map {turn}");
         for drawn in [&[drawn][..], &[drawn; 3]] {
             let weights = [&online.values[..], &target.values];
             let loss =
