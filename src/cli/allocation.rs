@@ -175,7 +175,16 @@ mod tests {
     fn choices_are_the_rules_of_the_environments_each_once() {
         let names: Vec<&str> =
             AllocatorChoice::value_variants().iter().map(|choice| choice.name()).collect();
-        let all = ["learned", "coordinated", "heuristic", "random", "dynamic", "matching"];
+        let all = [
+            "learned",
+            "coordinated",
+            "heuristic",
+            "random",
+            "dynamic",
+            "matching",
+            "nearest",
+            "greedy",
+        ];
         assert_eq!(names, all);
         let rules: Vec<&str> =
             Allocation::value_variants().iter().map(|rule| rule.name()).collect();
@@ -203,6 +212,6 @@ mod tests {
         let random = AllocatorChoice::Rule(Allocation::named("random").expect("a rule"));
         let refused = AllocatorChoice::or_default(Some(random), true, without);
         assert!(refused.expect_err("no such rule").message.contains("there are: none"));
-        assert!(Allocation::named("nearest").is_err());
+        assert!(Allocation::named("farthest").is_err());
     }
 }
