@@ -52,10 +52,12 @@ pub struct TeamValues {
 pub struct TeamLesson {
     input: TeamValueInput,
     seen: Observation,
-    /// Those of what was learned from last, and what the network said; of each segment one number.
+    /// Those of what was learned from last, one for each segment.
     pub(super) targets: Vec<f32>,
     /// The segments' places in the lesson, by queries.
     asked_for: Vec<u32>,
+    /// Places in the lesson of what has a next decision, and the subtasks that are open there.
+    followed: Vec<(usize, u32)>,
     /// Floating-point operations of the last use.
     pub operations: u64,
 }
@@ -147,34 +149,41 @@ impl TeamValues {
         (environment, segments): (&dyn Environment, &Segments),
         drawn: &[DrawnSegment],
     ) {
-        let TeamLesson { input, seen, targets, asked_for, operations } = &mut *shard.space;
+        let TeamLesson { input, seen, targets, followed, operations, .. } = &mut *shard.space;
         let reward = |drawn: &DrawnSegment| {
             let rewards = segments.rewards(drawn.place).tasks;
             members(drawn.tasks.into()).map(|task| rewards[task]).sum::<f32>()
         };
         targets.clear();
         targets.extend(drawn.iter().map(reward));
-        asked_for.clear();
-        *operations = 0;
-        let mut queries = Vec::new();
-        for (number, drawn) in (0_u32..).zip(drawn) {
-            if segments.end(drawn.place) != End::Open {
-                continue;
-            }
+        let next = |drawn: &DrawnSegment| {
             let bytes = segments.state(drawn.place.after(1));
-            let next = Moment::read(bytes, environment.spec().shape.agents);
-            environment.observe(next.state, 0, 0, seen);
-            queries.extend(drawn.queries(next, seen.open_tasks));
-            asked_for.resize(queries.len(), number);
-        }
-        if queries.is_empty() {
+            Moment::read(bytes, environment.spec().shape.agents)
+        };
+        let mut open_next = |drawn: &DrawnSegment| {
+            if segments.end(drawn.place) != End::Open {
+                return 0;
+            }
+            environment.observe(next(drawn).state, 0, 0, seen);
+            drawn.tasks & seen.open_tasks
+        };
+        followed.clear();
+        let all = drawn.iter().enumerate().map(|(number, drawn)| (number, open_next(drawn)));
+        followed.extend(all.filter(|(_, tasks)| *tasks != 0));
+        *operations = 0;
+        if followed.is_empty() {
             return;
         }
+        let queries = followed.iter().flat_map(|(number, tasks)| {
+            let drawn = &drawn[*number];
+            drawn.queries(next(drawn), *tasks)
+        });
+        let asked_for = followed
+            .iter()
+            .flat_map(|(number, tasks)| members((*tasks).into()).map(move |_| *number));
         let mut pass = shard.spare.begin(shard.target);
-        let values =
-            self.layers.utilities(&mut pass, input.queries(environment, queries.into_iter()));
-        for (number, value) in asked_for.iter().zip(pass.values(values)) {
-            let number = *number as usize;
+        let values = self.layers.utilities(&mut pass, input.queries(environment, queries));
+        for (number, value) in asked_for.zip(pass.values(values)) {
             targets[number] += segments.note(drawn[number].place) * value;
         }
         *operations += pass.operations(false);
