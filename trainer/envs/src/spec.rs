@@ -127,6 +127,8 @@ pub struct Spec {
     /// as many for each target, in the order of `targets`; empty where nothing is said. Those of what it does not observe
     /// are zeros.
     pub pairs: Range<usize>,
+    /// So many columns, the first ones, keep what they hold through an episode in the rows of all that is no agent.
+    pub fixed: usize,
     /// The action of an agent that nobody decides for: always available, and as harmless as any.
     pub safe_action: Option<u16>,
     /// Whether episodes can be solved; where none can, returns alone say how good a team is.
@@ -173,6 +175,7 @@ impl Default for Spec {
             roles: Vec::new(),
             targets: 0..0,
             pairs: 0..0,
+            fixed: 0,
             safe_action: None,
             has_success: true,
             metrics: &[],

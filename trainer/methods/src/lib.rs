@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 mod actor_critic;
+pub mod allocator;
 pub mod alma;
 pub mod dqn;
 pub mod hal;
@@ -39,6 +40,7 @@ pub const METHODS: &[MethodEntry] = &[
     alma::ALMA,
     alma::FLAT,
     alma::COPA,
+    allocator::ALLOCATOR,
     value_factorisation::QMIX,
     value_factorisation::VDN,
     value_factorisation::REFIL,

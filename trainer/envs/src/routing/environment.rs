@@ -12,7 +12,7 @@ use serde::Deserialize;
 use super::VERSION;
 use super::exact::optimum;
 use super::instance::{CUSTOMERS, Instance};
-use super::observation::{Layout, ROW_ENTRIES, TURNS, feature_names};
+use super::observation::{FIXED, Layout, ROW_ENTRIES, TURNS, feature_names};
 use super::picture::picture;
 use super::rules::{RULES, allocate, follow};
 use super::tour::Tour;
@@ -224,6 +224,7 @@ fn spec(layout: Layout) -> Spec {
         features,
         actions,
         targets: agents..layout.entities(),
+        fixed: FIXED,
         safe_action: Some(Layout::STAY),
         has_success: false,
         metrics: METRICS,

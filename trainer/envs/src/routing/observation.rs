@@ -15,13 +15,15 @@ const FEATURES: [&str; 12] = [
     "x",
     "y",
     "distance to the depot",
+    "demand",
     "load",
     "room",
     "at the depot",
-    "demand",
     "served",
     "demand that waits",
 ];
+/// Of which the first so many stay as they are: all that tells instances apart.
+pub(super) const FIXED: usize = 7;
 /// Most of them that differ from zero in one row: a vehicle's.
 pub(super) const ROW_ENTRIES: usize = 8;
 /// Symmetries of the square.
@@ -145,9 +147,9 @@ fn write_waiting(tour: &Tour, rows: &mut SparseRows) {
 fn write_vehicle(tour: &Tour, number: usize, turn: usize, rows: &mut SparseRows) {
     let (vehicle, capacity) = (tour.vehicles[number], f32::from(tour.instance.capacity));
     write_where(tour, (0, vehicle.at.into()), turn, rows);
-    rows.push_unless_zero(6, f32::from(vehicle.load) / capacity);
-    rows.push_unless_zero(7, f32::from(tour.room(number)) / capacity);
-    rows.push_unless_zero(8, f32::from(u8::from(vehicle.at == 0)));
+    rows.push_unless_zero(7, f32::from(vehicle.load) / capacity);
+    rows.push_unless_zero(8, f32::from(tour.room(number)) / capacity);
+    rows.push_unless_zero(9, f32::from(u8::from(vehicle.at == 0)));
     write_waiting(tour, rows);
 }
 
@@ -155,7 +157,7 @@ fn write_place(tour: &Tour, place: usize, turn: usize, rows: &mut SparseRows) {
     let kind = if place == 0 { 2 } else { 1 };
     write_where(tour, (kind, place), turn, rows);
     let demand = f32::from(tour.instance.demands[place]) / f32::from(tour.instance.capacity);
-    rows.push_unless_zero(9, demand);
+    rows.push_unless_zero(6, demand);
     rows.push_unless_zero(10, f32::from(u8::from(tour.visits[place].is_done())));
     write_waiting(tour, rows);
 }

@@ -1,0 +1,234 @@
+//! One agent after the other points at a subtask, in any number of episodes that have the same subtasks.
+
+use sortie_envs::{ActionSet, EntitySet, Environment, Observation, Random, UNASSIGNED, members};
+use sortie_nn::layers::softmax;
+use sortie_nn::tape::Tape;
+
+use super::network::{Decisions, Network};
+use crate::actor_critic::groups::drawn;
+
+/// The subtasks of an instance, which stay as they are for its whole episode.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Subtasks {
+    /// `[subtasks]`: their numbers.
+    tasks: Vec<u8>,
+    /// `[subtasks, fixed]`: what does not change in the row of the first thing of each.
+    pub(super) rows: Vec<f32>,
+}
+
+impl Subtasks {
+    /// Those of a state, finished ones as well: it does not matter how far the episode is.
+    fn of(seen: &Observation, fixed: usize) -> Self {
+        let mut subtasks = Self::default();
+        for thing in members(seen.things() & seen.entities) {
+            let task = seen.task_of(thing);
+            if task == UNASSIGNED || subtasks.tasks.contains(&task) {
+                continue;
+            }
+            let first = subtasks.rows.len();
+            subtasks.tasks.push(task);
+            subtasks.rows.resize(first + fixed, 0.0);
+            let row = seen.rows.row(seen.row_of(thing)).filter(|(column, _)| *column < fixed);
+            row.for_each(|(column, value)| subtasks.rows[first + column] = value);
+        }
+        subtasks
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.tasks.len()
+    }
+
+    /// Tasks by their places here.
+    fn places(&self, tasks: u32) -> impl Iterator<Item = usize> + '_ {
+        let place = move |(place, task): (usize, &u8)| (tasks >> task & 1 == 1).then_some(place);
+        self.tasks.iter().enumerate().filter_map(place)
+    }
+}
+
+/// A team that is being allocated.
+#[derive(Clone, Debug)]
+struct Team {
+    /// `[A, d]`
+    rows: Vec<f32>,
+    /// `[A]`: what each agent can be given.
+    offers: Vec<u32>,
+    /// Subtasks for one agent alone.
+    exclusive: u32,
+    open: u32,
+    /// Those of them that somebody was given.
+    taken: u32,
+    allocation: Vec<u8>,
+}
+
+impl Team {
+    fn of(environment: &dyn Environment, state: &[u8], seen: &Observation) -> Self {
+        let columns = environment.spec().shape.features;
+        let mut offers = Vec::new();
+        let exclusive = environment.offers(state, &mut offers);
+        let mut rows = vec![0.0; columns * offers.len()];
+        for agent in members(seen.acting().into()) {
+            let row = &mut rows[agent * columns..][..columns];
+            seen.rows.write_dense(seen.row_of(agent), row);
+        }
+        let allocation = vec![UNASSIGNED; offers.len()];
+        Self { rows, offers, exclusive, open: seen.open_tasks, taken: 0, allocation }
+    }
+
+    fn row(&self, agent: usize) -> &[f32] {
+        let columns = self.rows.len() / self.offers.len();
+        &self.rows[agent * columns..][..columns]
+    }
+
+    /// What an agent can still be given. Of agents that are alike the first ones are given what one alone can have: whoever
+    /// comes after one that was not leaves it, which loses no allocation but the same with names exchanged.
+    fn options(&self, agent: usize) -> u32 {
+        let options = self.offers[agent] & !self.taken;
+        let passed = |twin: &usize| {
+            let task = u32::from(self.allocation[*twin]);
+            task < u32::BITS && self.exclusive >> task & 1 == 0
+        };
+        let has_twin = (0..agent).filter(passed).any(|twin| self.row(twin) == self.row(agent));
+        let shared = options & !self.exclusive;
+        if has_twin && shared != 0 { shared } else { options }
+    }
+
+    fn give(&mut self, agent: usize, task: u8) {
+        self.allocation[agent] = task;
+        self.taken |= 1 << task & self.exclusive;
+    }
+
+    /// Describes a decision.
+    fn describe(&self, agent: usize, subtasks: &Subtasks, decisions: &mut Decisions) {
+        let columns = self.row(agent).len();
+        let later: Vec<usize> =
+            (agent + 1..self.offers.len()).filter(|agent| self.offers[*agent] != 0).collect();
+        let first = decisions.contexts.len() + columns;
+        decisions.contexts.extend(self.row(agent));
+        decisions.contexts.resize(first + columns, 0.0);
+        for agent in &later {
+            let means = &mut decisions.contexts[first..];
+            let share = 1.0 / later.len() as f32;
+            means.iter_mut().zip(self.row(*agent)).for_each(|(mean, value)| *mean += share * value);
+        }
+        let share = |part: usize, whole: usize| part as f32 / whole as f32;
+        let left = subtasks.places(self.open & !self.taken);
+        let taken = subtasks.places(self.taken);
+        let (mut count, tables) = ([0; 2], subtasks.len());
+        left.for_each(|place| {
+            decisions.seen.push(place);
+            count[0] += 1;
+        });
+        taken.for_each(|place| {
+            decisions.seen.push(tables + place);
+            count[1] += 1;
+        });
+        let agents = decisions.agents.len() / columns;
+        for (number, agent) in later.iter().enumerate() {
+            decisions.seen.push(2 * tables + agents + number);
+            decisions.agents.extend(self.row(*agent));
+        }
+        decisions.seen.end_list();
+        decisions.contexts.extend([
+            share(later.len(), self.offers.len()),
+            share(count[0], tables),
+            share(count[1], tables),
+        ]);
+        decisions.offered.push(subtasks.places(self.options(agent)).fold(0, |set, it| set | 1 << it));
+    }
+}
+
+/// Episodes with the same subtasks at work: what is known of these, and the decisions that were made.
+#[derive(Debug, Default)]
+pub(super) struct Group {
+    pub(super) subtasks: Subtasks,
+    /// `[subtasks, 5 width]`
+    tables: Vec<f32>,
+    /// Decisions of all episodes.
+    pub(super) made: Decisions,
+    tape: Tape,
+    /// Decisions about agents of one number.
+    now: Decisions,
+}
+
+impl Group {
+    /// Forgets what was decided, and by which weights subtasks were encoded.
+    pub(super) fn forget(&mut self) {
+        self.subtasks = Subtasks::default();
+        self.made.clear();
+    }
+
+    /// Allocates the agents of some states of these episodes, each by its number: `choose` picks a place among those that a
+    /// decision offers, by the scores of all.
+    pub(super) fn allocate(
+        &mut self,
+        (network, weights): (&Network, &[f32]),
+        environment: &dyn Environment,
+        states: &[(usize, &[u8])],
+        mut choose: impl FnMut(&[f32], u32) -> usize,
+    ) -> Vec<Vec<u8>> {
+        let spec = environment.spec();
+        let mut seen = Observation::default();
+        let mut subtasks = Subtasks::default();
+        let mut teams: Vec<Team> = Vec::new();
+        for (_, state) in states {
+            environment.observe(state, 0, EntitySet::MAX, &mut seen);
+            if teams.is_empty() {
+                subtasks = Subtasks::of(&seen, spec.fixed);
+            }
+            teams.push(Team::of(environment, state, &seen));
+        }
+        let Self { tables, made, tape, now, .. } = self;
+        if subtasks != self.subtasks {
+            let mut pass = tape.begin(weights);
+            let encoded = network.encode(&mut pass, &subtasks.rows);
+            *tables = pass.values(encoded).to_vec();
+            self.subtasks = subtasks;
+        }
+        for agent in 0..spec.shape.agents {
+            now.clear();
+            let mut deciding = Vec::new();
+            for (team, (episode, _)) in teams.iter_mut().zip(states) {
+                let options = team.options(agent);
+                match options.count_ones() {
+                    0 => {}
+                    1 => team.give(agent, options.trailing_zeros() as u8),
+                    _ => {
+                        team.describe(agent, &self.subtasks, now);
+                        now.episodes.push(*episode);
+                        deciding.push(team);
+                    }
+                }
+            }
+            if deciding.is_empty() {
+                continue;
+            }
+            let mut pass = tape.begin(weights);
+            let known = pass.input(tables.len() / self.subtasks.len(), tables);
+            let scores = network.scores(&mut pass, known, now);
+            let scores = pass.values(scores).chunks_exact(self.subtasks.len());
+            for ((scores, offered), team) in scores.zip(&now.offered).zip(deciding) {
+                let place = choose(scores, *offered);
+                now.chosen.push(place);
+                team.give(agent, self.subtasks.tasks[place]);
+            }
+            made.append(now, self.subtasks.len(), spec.shape.features);
+        }
+        teams.into_iter().map(|team| team.allocation).collect()
+    }
+}
+
+/// Draws a place by the softmax of the scores of those that are offered.
+pub(super) fn draw(scores: &[f32], offered: u32, random: &mut Random) -> usize {
+    drawn(&chances(scores, offered), sortie_envs::random::unit(random) as f32) as usize
+}
+
+/// The softmax of the scores of those places that are offered.
+pub(super) fn chances(scores: &[f32], offered: u32) -> Vec<f32> {
+    let masked = scores.iter().enumerate();
+    let masked = masked.map(|(place, score)| {
+        if ActionSet::from(offered) >> place & 1 == 1 { *score } else { f32::NEG_INFINITY }
+    });
+    let mut chances: Vec<f32> = masked.collect();
+    softmax::forward(&mut chances);
+    chances
+}

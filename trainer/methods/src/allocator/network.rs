@@ -1,0 +1,191 @@
+//! The network: subtasks are encoded once an episode, then each agent in turn points at one of them (the attention model of
+//! Kool et al. 2019, with the agents that are still to choose in its sight).
+
+use sortie_learn::LearnError;
+use sortie_learn::configuration::require;
+use sortie_nn::layers::VisibleLists;
+use sortie_nn::layers::split_attention::HEADS;
+use sortie_nn::random::Generator;
+use sortie_nn::tape::{Linear, Parameters, Pass, Var};
+
+use super::NetworkConfig;
+
+/// Scores lie between this and its negative, so that no choice is ever out of the question (Bello et al. 2017).
+const BOUND: f32 = 10.0;
+
+/// Where the layers stand among the parameters.
+#[derive(Clone, Debug)]
+pub(super) struct Network {
+    width: usize,
+    /// Columns of a subtask's row and of an agent's.
+    pub(super) columns: [usize; 2],
+    embedding: Linear,
+    /// Keys and values of each encoder's layer, and the layer.
+    layers: Vec<(Linear, Layer)>,
+    tables: Linear,
+    context: Linear,
+    agents: Linear,
+    decoder: Layer,
+    pointer: Linear,
+}
+
+/// Attention and a layer behind it, each added to what comes in.
+#[derive(Clone, Debug)]
+struct Layer {
+    query: Linear,
+    attended: Linear,
+    hidden: Linear,
+    out: Linear,
+}
+
+impl Layer {
+    fn new(
+        parameters: &mut Parameters,
+        name: &str,
+        width: usize,
+        random: &mut Generator,
+    ) -> Self {
+        let mut linear = |part: &str, input, output| {
+            parameters.linear(&format!("{name}.{part}"), input, output, random)
+        };
+        Self {
+            query: linear("query", width, width),
+            attended: linear("attended", width, width),
+            hidden: linear("hidden", width, 2 * width),
+            out: linear("out", 2 * width, width),
+        }
+    }
+
+    fn pass(&self, pass: &mut Pass<'_>, x: Var, keys_values: Var, seen: &VisibleLists) -> Var {
+        let query = pass.linear(x, self.query);
+        let looked = pass.attention(query, keys_values, seen, HEADS);
+        let looked = pass.linear(looked, self.attended);
+        let x = pass.add(x, looked);
+        let hidden = pass.linear_rectified(x, self.hidden);
+        let out = pass.linear(hidden, self.out);
+        pass.add(x, out)
+    }
+}
+
+fn encoder_layer(
+    parameters: &mut Parameters,
+    number: usize,
+    width: usize,
+    random: &mut Generator,
+) -> (Linear, Layer) {
+    let name = format!("encoder.{number}");
+    let keys_values = parameters.linear(&format!("{name}.keys_values"), width, 2 * width, random);
+    (keys_values, Layer::new(parameters, &name, width, random))
+}
+
+/// Decisions about one agent each, all on the same subtasks: what was seen, and what was chosen.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Decisions {
+    /// `[D, 2 d + 3]`: the agent's row, the mean of those that choose after it, and shares of what is left.
+    pub(super) contexts: Vec<f32>,
+    /// The rows of agents that choose later, of all decisions.
+    pub(super) agents: Vec<f32>,
+    /// Subtasks that are left, subtasks that somebody was given in this round, agents.
+    pub(super) seen: VisibleLists,
+    /// What could be chosen, as bits by places of subtasks.
+    pub(super) offered: Vec<u32>,
+    /// The places of those that were.
+    pub(super) chosen: Vec<usize>,
+    /// Whose episodes they belong to.
+    pub(super) episodes: Vec<usize>,
+}
+
+impl Decisions {
+    pub(super) fn clear(&mut self) {
+        self.seen.clear();
+        self.contexts.clear();
+        self.agents.clear();
+        self.offered.clear();
+        self.chosen.clear();
+        self.episodes.clear();
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.offered.len()
+    }
+
+    /// Adds others on so many subtasks, whose agents have so many columns.
+    pub(super) fn append(&mut self, other: &Self, subtasks: usize, columns: usize) {
+        let (tables, agents) = (2 * subtasks, self.agents.len() / columns);
+        for decision in 0..other.len() {
+            let shifted = |row| if row < tables { row } else { row + agents };
+            other.seen.list(decision).for_each(|row| self.seen.push(shifted(row)));
+            self.seen.end_list();
+        }
+        self.contexts.extend(&other.contexts);
+        self.agents.extend(&other.agents);
+        self.offered.extend(&other.offered);
+        self.chosen.extend(&other.chosen);
+        self.episodes.extend(&other.episodes);
+    }
+}
+
+impl Network {
+    /// Draws the first weights of a network for rows of subtasks and of agents with so many columns.
+    pub(super) fn new(
+        config: &NetworkConfig,
+        columns: [usize; 2],
+        random: &mut Generator,
+    ) -> Result<(Self, Parameters), LearnError> {
+        let NetworkConfig { width, layers } = *config;
+        require(width.is_multiple_of(HEADS), "`network.width` must be a multiple of 4")?;
+        let (mut parameters, [subtask, agent]) = (Parameters::default(), columns);
+        let p = &mut parameters;
+        let network = Self {
+            width,
+            columns,
+            embedding: p.linear("embedding", subtask, width, random),
+            layers: (0..layers).map(|number| encoder_layer(p, number, width, random)).collect(),
+            tables: p.linear("tables", width, 5 * width, random),
+            context: p.linear("context", 2 * agent + 3, width, random),
+            agents: p.linear("agents", agent, 2 * width, random),
+            decoder: Layer::new(p, "decoder", width, random),
+            pointer: p.projection("pointer", width, width, random),
+        };
+        Ok((network, parameters))
+    }
+
+    /// `[subtasks, 5 width]`: what decoders look up about subtasks: keys and values of those that are left, the same of those
+    /// that are taken, and keys to point at.
+    pub(super) fn encode(&self, pass: &mut Pass<'_>, rows: &[f32]) -> Var {
+        let rows = pass.input(self.columns[0], rows);
+        let subtasks = pass.size(rows)[0];
+        let mut all = VisibleLists::default();
+        for _ in 0..subtasks {
+            (0..subtasks).for_each(|subtask| all.push(subtask));
+            all.end_list();
+        }
+        let mut x = pass.linear(rows, self.embedding);
+        for (keys_values, layer) in &self.layers {
+            let keys_values = pass.linear(x, *keys_values);
+            x = layer.pass(pass, x, keys_values, &all);
+        }
+        pass.linear(x, self.tables)
+    }
+
+    /// `[decisions, subtasks]`: the scores of all subtasks in each decision.
+    pub(super) fn scores(&self, pass: &mut Pass<'_>, tables: Var, decisions: &Decisions) -> Var {
+        let width = self.width;
+        let parts = [0..2 * width, 2 * width..4 * width, 4 * width..5 * width];
+        let [left, taken, keys] = parts.map(|columns| pass.columns(tables, columns));
+        let mut seen = vec![left, taken];
+        if !decisions.agents.is_empty() {
+            let agents = pass.input(self.columns[1], &decisions.agents);
+            seen.push(pass.linear(agents, self.agents));
+        }
+        let keys_values = pass.stack(&seen);
+        let context = pass.input(2 * self.columns[1] + 3, &decisions.contexts);
+        let x = pass.linear(context, self.context);
+        let x = self.decoder.pass(pass, x, keys_values, &decisions.seen);
+        let query = pass.linear(x, self.pointer);
+        let scores = pass.product_transposed(query, keys);
+        let scores = pass.scale(scores, 1.0 / (width as f32).sqrt());
+        let scores = pass.tanh(scores);
+        pass.scale(scores, BOUND)
+    }
+}
