@@ -5,6 +5,7 @@ use sortie_bundle::Bundle;
 use sortie_core::allocate::{PlanTeamValue, ProposalAllocator, TeamQuery, TeamValueNetwork};
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{AllocateError, Allocator};
+use sortie_learn::subtasks::PROPOSALS;
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
 use sortie_stage::{Search, SearchSizes, TeamValuePlan};
 
@@ -193,9 +194,14 @@ pub struct ProposalArguments {
 }
 
 impl ProposalArguments {
+    /// As many as were asked for, if any.
+    pub fn asked(self) -> Option<usize> {
+        self.proposals.map(usize::from)
+    }
+
     /// As many as were asked for, else as many as the dissertation's.
     pub fn count(self) -> usize {
-        self.proposals.unwrap_or(32).into()
+        self.asked().unwrap_or(PROPOSALS)
     }
 
     /// As a flag for another process.

@@ -27,7 +27,6 @@ use sortie_plans::{
 };
 
 use crate::allocation::Allocation;
-use crate::allocator::ProposalArguments;
 use crate::environment::ScenarioSetName;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::PolicyArguments;
@@ -182,7 +181,7 @@ fn team_under<'a>(
     let Some(mut subtasks) = learned.method.subtasks() else { return Ok(learned.method.team()) };
     let allocator: Box<dyn Allocate + 'a> = match subtasks.allocator.take() {
         Some(mut own) if allocation == LEARNED => {
-            own.allocate.choose_among(ProposalArguments::default().count());
+            own.allocate.choose_among(None, learned.environment.spec());
             own.allocate
         }
         _ => Box::new(Allocation::named(allocation)?.measured()),

@@ -159,7 +159,7 @@ impl<'a> SubjectAllocator<'a> {
             Some(Subject::Run(run)) => {
                 let learned = run.method.subtasks().and_then(|subtasks| subtasks.allocator);
                 let mut allocate = learned.ok_or_else(|| none_learned(name))?.allocate;
-                if !allocate.choose_among(proposals.count()) {
+                if !allocate.choose_among(proposals.asked(), run.environment.spec()) {
                     proposals.check_unused()?;
                 }
                 Ok(Self::Run(allocate))

@@ -24,7 +24,7 @@ pub(super) fn golden_allocations(
 ) -> Result<Vec<GoldenAllocation>, LearnError> {
     let cases = RefCell::default();
     let Some(learned) = subtasks.allocator.take() else { return Ok(cases.take()) };
-    if matches!(learned.networks, AllocatorNetworks::Proposals(_)) {
+    if !matches!(learned.networks, AllocatorNetworks::TeamValue(_)) {
         return Ok(cases.take());
     }
     let recorder =

@@ -160,6 +160,7 @@ impl AgentParts {
                 self.parts.extend(names.into_iter().zip(write(contract)?));
                 PROPOSALS
             }
+            AllocatorNetworks::Pointing => return Err(ExportError::EvaluatedOnly),
         };
         self.network.allocator = Some(kind.to_owned());
         Ok(())

@@ -8,7 +8,7 @@ mod agents;
 mod allocators;
 mod team;
 
-use sortie_envs::{Environment, Observation, Random};
+use sortie_envs::{Environment, Observation, Random, Spec};
 
 use crate::act::Thought;
 use crate::error::LearnError;
@@ -17,6 +17,9 @@ use crate::export::{AttentionNetwork, ExportError};
 pub use agents::{MaskedViews, PolicyAgents, ScriptedAgents};
 pub use allocators::{DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state};
 pub use team::AllocatedTeam;
+
+/// Allocations that a policy draws, of which a critic takes the best (dissertation section 7.4).
+pub const PROPOSALS: usize = 32;
 
 /// The last action of an agent that has not acted yet in its episode.
 pub const NO_ACTION: u8 = u8::MAX;
@@ -99,9 +102,10 @@ pub trait Allocate {
         Vec::new()
     }
 
-    /// Has it choose among so many proposals of its own; false where it does not propose.
-    fn choose_among(&mut self, proposals: usize) -> bool {
-        let _ = proposals;
+    /// Has it choose among so many proposals of its own in such an environment, or as many as it usually does; false where it
+    /// does not propose.
+    fn choose_among(&mut self, proposals: Option<usize>, spec: &Spec) -> bool {
+        let _ = (proposals, spec);
         false
     }
 }
@@ -127,8 +131,8 @@ impl<A: Allocate + ?Sized> Allocate for &mut A {
         (**self).values(environment, state, task, teams)
     }
 
-    fn choose_among(&mut self, proposals: usize) -> bool {
-        (**self).choose_among(proposals)
+    fn choose_among(&mut self, proposals: Option<usize>, spec: &Spec) -> bool {
+        (**self).choose_among(proposals, spec)
     }
 }
 
@@ -170,4 +174,6 @@ pub enum AllocatorNetworks<'a> {
     TeamValue(Box<AttentionNetwork<'a>>),
     /// It proposes allocations, and a critic takes the best: trunk, step and critic.
     Proposals(Box<WriteGraphs<'a>>),
+    /// It points at one subtask for each agent in turn; such an allocator is not deployed yet.
+    Pointing,
 }

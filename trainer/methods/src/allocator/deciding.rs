@@ -7,6 +7,9 @@ use sortie_nn::tape::Tape;
 use super::network::{Decisions, Network};
 use crate::actor_critic::groups::drawn;
 
+/// What one more subtask adds to sums, so that they are about 1.
+const SUM_SCALE: f32 = 0.2;
+
 /// The subtasks of an instance, which stay as they are for its whole episode.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Subtasks {
@@ -36,6 +39,21 @@ impl Subtasks {
 
     pub(super) fn len(&self) -> usize {
         self.tasks.len()
+    }
+
+    /// Where a task stands; behind all of them one that is none.
+    fn place(&self, task: u8) -> usize {
+        self.tasks.iter().position(|known| *known == task).unwrap_or(self.tasks.len())
+    }
+
+    /// Adds the sum of the rows of some tasks: how much there is to do, which means do not tell.
+    fn add_sum(&self, tasks: u32, contexts: &mut Vec<f32>) {
+        let (first, columns) = (contexts.len(), self.rows.len() / self.len());
+        contexts.resize(first + columns, 0.0);
+        for place in self.places(tasks) {
+            let sums = contexts[first..].iter_mut().zip(&self.rows[place * columns..]);
+            sums.for_each(|(sum, value)| *sum += SUM_SCALE * value);
+        }
     }
 
     /// Tasks by their places here.
@@ -100,41 +118,45 @@ impl Team {
     /// Describes a decision.
     fn describe(&self, agent: usize, subtasks: &Subtasks, decisions: &mut Decisions) {
         let columns = self.row(agent).len();
-        let later: Vec<usize> =
-            (agent + 1..self.offers.len()).filter(|agent| self.offers[*agent] != 0).collect();
-        let first = decisions.contexts.len() + columns;
+        let acts = |agent: &usize| self.offers[*agent] != 0;
+        let [before, after] = [0..agent, agent + 1..self.offers.len()]
+            .map(|agents| agents.filter(acts).collect::<Vec<_>>());
         decisions.contexts.extend(self.row(agent));
-        decisions.contexts.resize(first + columns, 0.0);
-        for agent in &later {
-            let means = &mut decisions.contexts[first..];
-            let share = 1.0 / later.len() as f32;
-            means.iter_mut().zip(self.row(*agent)).for_each(|(mean, value)| *mean += share * value);
-        }
-        let share = |part: usize, whole: usize| part as f32 / whole as f32;
-        let left = subtasks.places(self.open & !self.taken);
-        let taken = subtasks.places(self.taken);
-        let (mut count, tables) = ([0; 2], subtasks.len());
-        left.for_each(|place| {
-            decisions.seen.push(place);
-            count[0] += 1;
-        });
-        taken.for_each(|place| {
-            decisions.seen.push(tables + place);
-            count[1] += 1;
-        });
-        let agents = decisions.agents.len() / columns;
-        for (number, agent) in later.iter().enumerate() {
-            decisions.seen.push(2 * tables + agents + number);
-            decisions.agents.extend(self.row(*agent));
+        self.add_mean(&before, &mut decisions.contexts);
+        self.add_mean(&after, &mut decisions.contexts);
+        decisions.contexts.push(after.len() as f32 / self.offers.len() as f32);
+        let left = self.open & !self.taken;
+        subtasks.add_sum(left, &mut decisions.contexts);
+        subtasks.places(left).for_each(|place| decisions.seen.push(place));
+        for other in before.into_iter().chain(after) {
+            let row = decisions.agents.len() / columns;
+            decisions.seen.push(subtasks.len() + row);
+            decisions.agents.extend(self.row(other));
+            decisions.given.push(subtasks.place(self.allocation[other]) as u32);
         }
         decisions.seen.end_list();
-        decisions.contexts.extend([
-            share(later.len(), self.offers.len()),
-            share(count[0], tables),
-            share(count[1], tables),
-        ]);
-        decisions.offered.push(subtasks.places(self.options(agent)).fold(0, |set, it| set | 1 << it));
+        let options = subtasks.places(self.options(agent));
+        decisions.offered.push(options.fold(0, |set, place| set | 1 << place));
     }
+
+    /// Adds the mean row of some agents, zeros where there are none.
+    fn add_mean(&self, agents: &[usize], contexts: &mut Vec<f32>) {
+        let (first, share) = (contexts.len(), 1.0 / agents.len().max(1) as f32);
+        contexts.resize(first + self.row(0).len(), 0.0);
+        for agent in agents {
+            let means = contexts[first..].iter_mut();
+            means.zip(self.row(*agent)).for_each(|(mean, value)| *mean += share * value);
+        }
+    }
+}
+
+/// States of episodes with the same subtasks, each with the number of its episode.
+#[derive(Clone, Copy)]
+pub(super) struct Seen<'a> {
+    pub(super) environment: &'a dyn Environment,
+    /// The symmetry under which they are seen.
+    pub(super) turn: usize,
+    pub(super) states: &'a [(usize, &'a [u8])],
 }
 
 /// Episodes with the same subtasks at work: what is known of these, and the decisions that were made.
@@ -162,8 +184,7 @@ impl Group {
     pub(super) fn allocate(
         &mut self,
         (network, weights): (&Network, &[f32]),
-        environment: &dyn Environment,
-        states: &[(usize, &[u8])],
+        Seen { environment, turn, states }: Seen<'_>,
         mut choose: impl FnMut(&[f32], u32) -> usize,
     ) -> Vec<Vec<u8>> {
         let spec = environment.spec();
@@ -171,7 +192,7 @@ impl Group {
         let mut subtasks = Subtasks::default();
         let mut teams: Vec<Team> = Vec::new();
         for (_, state) in states {
-            environment.observe(state, 0, EntitySet::MAX, &mut seen);
+            environment.observe(state, turn, EntitySet::MAX, &mut seen);
             if teams.is_empty() {
                 subtasks = Subtasks::of(&seen, spec.fixed);
             }

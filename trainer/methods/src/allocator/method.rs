@@ -1,42 +1,42 @@
 //! Learning from whole episodes of the same start.
 
-use sortie_envs::{Environment, Random};
+use std::collections::BTreeMap;
+
+use sortie_envs::{Environment, Random, Spec, Split};
+use sortie_learn::configuration::require;
 use sortie_learn::learner::{Loss, Rules};
 use sortie_learn::networks::best;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::configuration::require;
 use sortie_learn::subtasks::{
-    Allocate, AllocatedTeam, ScriptedAgents,
+    Allocate, AllocatedTeam, AllocatorNetworks, LearnedAllocator, ScriptedAgents, Subtasks,
 };
 use sortie_learn::{Act, LearnError, Learner, Method, Now, Scenes, State, Transition};
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::tape::Pass;
 
 use super::Config;
-use super::deciding::{Group, chances, draw};
+use super::deciding::{Group, Seen, chances, draw};
 use super::network::Network;
 
-/// How fast the spread of what episodes earn is followed.
-const SPREAD_RATE: f32 = 0.05;
+/// What episodes of a group differ by that earn the same but for rounding.
+const LEAST_SPREAD: f32 = 1e-4;
 
 /// An allocator, and the episodes that it learns from next.
 #[derive(Debug)]
 pub(super) struct Allocator {
     config: Config,
-    network: Network,
-    learner: Learner<()>,
-    groups: Vec<Group>,
+    pub(super) network: Network,
+    pub(super) learner: Learner<()>,
+    pub(super) groups: Vec<Group>,
     /// Draws what each group is given.
     random: Vec<Random>,
     /// What the first of a group begins with, so that all of them begin alike.
     start: Random,
     /// What every episode earned.
-    returns: Vec<f32>,
+    pub(super) returns: Vec<f32>,
     over: usize,
-    /// Mean square of how much better than their baseline episodes are.
-    spread: f32,
     threads: usize,
 }
 
@@ -65,40 +65,34 @@ impl Allocator {
             start: generator(seed, Purpose::Proposals, u64::MAX),
             returns: vec![0.0; instances],
             over: 0,
-            spread: 0.0,
             threads,
             network,
             config,
         })
     }
 
-    /// How much better than its group's others each episode was, in units of what is usual.
-    fn advantages(&mut self) -> Vec<f32> {
-        let samples = self.config.baseline.samples;
+    /// How much better than its group's mean each episode was, in units of the group's spread: long routes count as much as
+    /// short ones (Shao et al. 2024).
+    pub(super) fn advantages(&self) -> Vec<f32> {
         let mut advantages = Vec::new();
-        for group in self.returns.chunks_exact(samples) {
-            let mean = group.iter().sum::<f32>() / samples as f32;
-            // Of the others alone, by the mean of all.
-            let others = samples as f32 / (samples - 1) as f32;
-            advantages.extend(group.iter().map(|earned| (earned - mean) * others));
+        for group in self.returns.chunks_exact(self.config.baseline.samples) {
+            let share = 1.0 / group.len() as f32;
+            let mean = share * group.iter().sum::<f32>();
+            let variance = share * group.iter().map(|earned| (earned - mean).powi(2)).sum::<f32>();
+            let scale = 1.0 / variance.sqrt().max(LEAST_SPREAD);
+            advantages.extend(group.iter().map(|earned| scale * (earned - mean)));
         }
-        let square = advantages.iter().map(|it| it * it).sum::<f32>() / advantages.len() as f32;
-        let rate = if self.spread == 0.0 { 1.0 } else { SPREAD_RATE };
-        self.spread += rate * (square - self.spread);
-        let scale = 1.0 / self.spread.sqrt().max(1e-6);
-        advantages.iter_mut().for_each(|advantage| *advantage *= scale);
         advantages
     }
 }
 
-/// What a group loses: `- advantage log chance - entropy` of its decisions, of so many episodes in all.
-fn loss(
+/// What a group loses: `- advantage log chance - entropy H` of all its decisions, times a share of the whole loss.
+pub(super) fn loss(
     pass: &mut Pass<'_>,
     network: &Network,
     group: &Group,
     advantages: &[f32],
-    entropy: f32,
-    share: f32,
+    (entropy, share): (f32, f32),
 ) -> Loss {
     let made = &group.made;
     let tables = network.encode(pass, &group.subtasks.rows);
@@ -122,9 +116,51 @@ fn loss(
 }
 
 /// An allocator that gives the best that it knows.
-struct Greedy<'a> {
+pub(super) struct Greedy<'a> {
     network: (&'a Network, &'a [f32]),
-    group: Group,
+    /// By symmetries of the rules, of which an episode is played to its end under each; the first alone if there is no more.
+    groups: Vec<Group>,
+    /// What was found best to do in states that are still to come.
+    planned: BTreeMap<Vec<u8>, Vec<u8>>,
+}
+
+impl<'a> Greedy<'a> {
+    pub(super) fn new(network: (&'a Network, &'a [f32])) -> Self {
+        Self { network, groups: vec![Group::default()], planned: BTreeMap::new() }
+    }
+
+    fn allocated(&mut self, environment: &dyn Environment, state: &[u8], turn: usize) -> Vec<u8> {
+        let group = &mut self.groups[turn];
+        group.made.clear();
+        let seen = Seen { environment, turn, states: &[(0, state)] };
+        let given =
+            group.allocate(self.network, seen, |scores, offered| best(scores, offered.into()));
+        given.into_iter().flatten().collect()
+    }
+
+    /// Plays to the end by what a symmetry makes of it; what that returns, and what was given in each state.
+    fn played(
+        &mut self,
+        world: &mut dyn Environment,
+        state: &[u8],
+        turn: usize,
+    ) -> Result<(f64, Vec<(Vec<u8>, Vec<u8>)>), LearnError> {
+        let mut random = sortie_envs::random::generator(0);
+        let mut actions = vec![0; world.spec().shape.agents];
+        let (mut given, mut earned, mut state) = (Vec::new(), 0.0, state.to_vec());
+        world.load(0, &state).map_err(LearnError::environment)?;
+        loop {
+            let allocation = self.allocated(world, &state, turn);
+            world.scripted(&state, &allocation, &mut random, &mut actions);
+            given.push((std::mem::take(&mut state), allocation));
+            let step = world.step(0, &actions, &mut random)?;
+            earned += step.reward;
+            if step.done() {
+                return Ok((earned, given));
+            }
+            world.save(0, &mut state);
+        }
+    }
 }
 
 impl Allocate for Greedy<'_> {
@@ -135,13 +171,26 @@ impl Allocate for Greedy<'_> {
         _: &mut Random,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        self.group.made.clear();
-        let found =
-            self.group.allocate(self.network, environment, &[(0, state)], |scores, offered| {
-                best(scores, offered.into())
-            });
-        allocation.copy_from_slice(&found[0]);
+        let given = if self.groups.len() == 1 {
+            self.allocated(environment, state, 0)
+        } else if let Some(planned) = self.planned.remove(state) {
+            planned
+        } else {
+            let mut world = environment.open(1, Split::Test);
+            let plays = (0..self.groups.len()).map(|turn| self.played(&mut *world, state, turn));
+            let plays = plays.collect::<Result<Vec<_>, _>>()?;
+            let best = plays.into_iter().max_by(|one, other| one.0.total_cmp(&other.0));
+            self.planned.extend(best.map(|(_, given)| given).unwrap_or_default());
+            self.planned.remove(state).unwrap_or_default()
+        };
+        allocation.copy_from_slice(&given);
         Ok(())
+    }
+
+    fn choose_among(&mut self, proposals: Option<usize>, spec: &Spec) -> bool {
+        let turns = proposals.unwrap_or(1).min(spec.turns);
+        self.groups.resize_with(turns, Group::default);
+        true
     }
 }
 
@@ -168,24 +217,20 @@ impl Method for Allocator {
         let (environment, samples) = (scenes.environment, self.config.baseline.samples);
         let network = (&self.network, &*self.learner.online.values);
         let team = environment.spec().shape.agents;
-        let mut actions = actions.chunks_exact_mut(team);
-        let groups = scenes.scenes.chunk_by(|one, next| one.instance / samples == next.instance / samples);
-        let mut lanes: Vec<_> = Vec::new();
-        let mut own = self.groups.iter_mut().zip(&mut self.random).enumerate();
-        for scenes in groups {
-            let number = scenes[0].instance / samples;
-            let (_, lane) = own.find(|(group, _)| *group == number).expect("a group of each scene");
-            let actions: Vec<&mut [u16]> = actions.by_ref().take(scenes.len()).collect();
-            lanes.push((scenes, lane, actions));
+        let groups = self.groups.iter_mut().zip(&mut self.random);
+        let mut lanes: Vec<_> = groups.map(|group| (group, Vec::new())).collect();
+        for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(team)) {
+            lanes[scene.instance / samples].1.push((scene, actions));
         }
-        in_lanes(self.threads, &mut lanes, |_, (scenes, (group, random), actions)| {
-            let states: Vec<(usize, &[u8])> =
-                scenes.iter().map(|scene| (scene.instance % samples, scene.state)).collect();
-            let given = group.allocate(network, environment, &states, |scores, offered| {
-                draw(scores, offered, random)
-            });
-            for (((_, state), allocation), actions) in states.iter().zip(given).zip(actions) {
-                environment.scripted(state, &allocation, random, actions);
+        lanes.retain(|(_, scenes)| !scenes.is_empty());
+        in_lanes(self.threads, &mut lanes, |_, ((group, random), scenes)| {
+            let states = scenes.iter().map(|(scene, _)| (scene.instance % samples, scene.state));
+            let states: Vec<(usize, &[u8])> = states.collect();
+            let seen = Seen { environment, turn: 0, states: &states };
+            let given =
+                group.allocate(network, seen, |scores, offered| draw(scores, offered, random));
+            for ((scene, actions), allocation) in scenes.iter_mut().zip(given) {
+                environment.scripted(scene.state, &allocation, random, actions);
             }
         });
         Ok(())
@@ -216,7 +261,7 @@ impl Method for Allocator {
         reports.agents.push(learner.update(groups.len(), rate, |shard| {
             let own = &advantages[shard.number * samples..][..samples];
             let group = &groups[shard.number];
-            loss(&mut shard.pass, network, group, own, entropy, share)
+            loss(&mut shard.pass, network, group, own, (entropy, share))
         }));
         groups.iter_mut().for_each(Group::forget);
         self.returns.fill(0.0);
@@ -230,9 +275,22 @@ impl Method for Allocator {
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
-        let network = (&self.network, &*self.learner.average);
-        let allocator = Greedy { network, group: Group::default() };
+        let allocator = Greedy::new((&self.network, &self.learner.average));
         Box::new(AllocatedTeam::new(Box::new(ScriptedAgents::new(0)), Box::new(allocator), 1))
+    }
+
+    fn subtasks(&self) -> Option<Subtasks<'_>> {
+        let allocator = LearnedAllocator {
+            allocate: Box::new(Greedy::new((&self.network, &self.learner.average))),
+            networks: AllocatorNetworks::Pointing,
+            team_max: None,
+        };
+        Some(Subtasks {
+            agents: Box::new(ScriptedAgents::new(0)),
+            are_seen: true,
+            interval: 1,
+            allocator: Some(allocator),
+        })
     }
 
     fn allocation(&self) -> &str {
@@ -241,7 +299,6 @@ impl Method for Allocator {
 
     fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
         self.learner.state_as(state, |part| format!("allocator/{part}"))?;
-        state.value("allocator/random", &mut self.random)?;
-        state.value("allocator/spread", &mut self.spread)
+        state.value("allocator/random", &mut self.random)
     }
 }

@@ -2,7 +2,8 @@
 //! (dissertation section 7.4, figure 7.3).
 //!
 //! The preset `fast` points at subtasks by an attention model, and learns from whole episodes: several of one start, of which
-//! each is as good as it is better than the others (REINFORCE, Williams 1992, with the baseline of Kwon et al. 2020).
+//! each is as good as it is better than the others (REINFORCE, Williams 1992, with what Kwon et al. 2020 compare an
+//! episode with).
 
 mod deciding;
 mod method;
@@ -73,7 +74,8 @@ fn misfit(spec: &Spec) -> Option<&'static str> {
     if spec.view != View::Entities || spec.rules.is_empty() {
         return Some("it allocates agents to subtasks, and there are none here");
     }
-    (spec.fixed == 0).then_some("it knows subtasks by what stays as it is in an episode, and nothing does here")
+    (spec.fixed == 0)
+        .then_some("it knows subtasks by what stays as it is in an episode, and nothing does here")
 }
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {

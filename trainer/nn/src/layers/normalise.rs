@@ -1,6 +1,8 @@
-//! Normalisation of the columns of a whole batch, before a network sees it.
+//! Normalisation: of the columns of a whole batch, before a network sees it, and of rows within one.
 
-/// Added to a variance.
+use super::matrix::Store;
+
+/// Added to a variance, and to a mean square.
 pub const EPSILON: f32 = 1e-5;
 
 /// Mean and variance of every column of a batch.
@@ -47,6 +49,33 @@ pub fn batch(columns: usize, rows: &mut [f32]) -> Moments {
     let moments = Moments::of(columns, rows);
     moments.normalise(rows);
     moments
+}
+
+/// Writes rows so scaled that the mean of their squares is 1 (RMSNorm, Zhang and Sennrich 2019, without its factors: those are
+/// part of the layer behind it).
+pub fn rows(columns: usize, x: &[f32], y: &mut [f32]) {
+    for (x, y) in x.chunks_exact(columns).zip(y.chunks_exact_mut(columns)) {
+        let scale = scale_of(x);
+        x.iter().zip(y).for_each(|(x, y)| *y = scale * x);
+    }
+}
+
+/// Takes the slopes by such rows `y` to slopes by the rows `x` that they were made of.
+pub fn rows_backward(columns: usize, [x, y, d_y]: [&[f32]; 3], store: Store, d_x: &mut [f32]) {
+    let rows = x.chunks_exact(columns).zip(y.chunks_exact(columns)).zip(d_y.chunks_exact(columns));
+    for (((x, y), d_y), d_x) in rows.zip(d_x.chunks_exact_mut(columns)) {
+        let scale = scale_of(x);
+        let along = y.iter().zip(d_y).map(|(y, d)| y * d).sum::<f32>() / columns as f32;
+        for ((y, d_y), d_x) in y.iter().zip(d_y).zip(d_x) {
+            let slope = scale * (d_y - along * y);
+            *d_x = if store == Store::Add { *d_x + slope } else { slope };
+        }
+    }
+}
+
+fn scale_of(row: &[f32]) -> f32 {
+    let square = row.iter().map(|x| x * x).sum::<f32>() / row.len() as f32;
+    1.0 / (square + EPSILON).sqrt()
 }
 
 #[cfg(test)]

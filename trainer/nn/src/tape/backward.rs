@@ -7,7 +7,7 @@ use crate::layers::attention::AttentionShape;
 use crate::layers::gru::GruShape;
 use crate::layers::matrix::Store;
 use crate::layers::{
-    attention, elementwise, linear, softmax, sparse_linear, split_attention, unfold,
+    attention, elementwise, linear, normalise, softmax, sparse_linear, split_attention, unfold,
 };
 
 impl Pass<'_> {
@@ -197,6 +197,13 @@ impl Tape {
                 let range = self.of(x).range();
                 self.from(x, own, |store, values, _, d_y, d_x| {
                     elementwise::absolute_backward(&values[range], d_y, store, d_x);
+                });
+            }
+            Operation::NormaliseRows { x } => {
+                let (range, columns) = (self.of(x).range(), self.columns(x));
+                self.from(x, own, |store, values, y, d_y, d_x| {
+                    let known = [&values[range], y, d_y];
+                    normalise::rows_backward(columns, known, store, d_x);
                 });
             }
             Operation::Absorb { inputs, keys_values, lists, pass, heads } => {

@@ -10,6 +10,7 @@ use crate::layers::absorbed_attention::AbsorbedBackward;
 use crate::layers::attention::AttentionShape;
 use crate::layers::elementwise::{self, Activation};
 use crate::layers::matrix::{Matrix, MatrixMut, Store, multiply};
+use crate::layers::normalise;
 use crate::layers::team_attention::{self, Sums};
 use crate::layers::{TeamLists, VisibleLists};
 
@@ -47,6 +48,12 @@ impl Pass<'_> {
     pub fn abs(&mut self, x: Var) -> Var {
         let size = self.size(x);
         self.step(Operation::Absolute { x }, x, size, elementwise::absolute)
+    }
+
+    /// Every row so scaled that the mean of its squares is 1.
+    pub fn normalise_rows(&mut self, x: Var) -> Var {
+        let size = self.size(x);
+        self.step(Operation::NormaliseRows { x }, x, size, |x, y| normalise::rows(size[1], x, y))
     }
 
     /// `x` where it is positive, else `exp(x) - 1`.

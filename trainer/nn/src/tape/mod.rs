@@ -395,6 +395,9 @@ enum Operation {
     Absolute {
         x: Var,
     },
+    NormaliseRows {
+        x: Var,
+    },
     /// Of queries and entities, with the matrix of keys and values.
     Absorb {
         inputs: [Var; 2],

@@ -63,6 +63,11 @@ fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
     check("means by groups", |t, x| t.mean_by(x, &[2, 0, 2, 2, 3, 0], 4));
     check("softmax", |t, x| t.softmax(x));
     check("log-softmax", |t, x| t.log_softmax(x));
+    check("normalised rows", |t, x| t.normalise_rows(x));
+    check("normalised rows that are used twice", |t, x| {
+        let y = t.normalise_rows(x);
+        t.multiply(x, y)
+    });
     check("gather", |t, x| t.gather(x, &[3, 0, 3, 5]));
     check("scatter", |t, x| t.scatter(x, &[2, 0, 2, 2, 1, 0], 3));
     check("pick", |t, x| t.pick(x, &[0, 3, 1, 1, 2, 0]));

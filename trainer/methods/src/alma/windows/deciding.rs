@@ -2,9 +2,9 @@
 
 use rand_core::Rng;
 use sortie_envs::random::{chance, member};
-use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED};
+use sortie_envs::{EntitySet, Environment, Observation, Spec, UNASSIGNED};
 use sortie_learn::LearnError;
-use sortie_learn::subtasks::Allocate;
+use sortie_learn::subtasks::{Allocate, PROPOSALS};
 use sortie_nn::random::Generator;
 
 use super::NO_TASK;
@@ -88,8 +88,8 @@ impl Allocate for ProposalAllocator<'_> {
         Ok(())
     }
 
-    fn choose_among(&mut self, proposals: usize) -> bool {
-        self.proposals = proposals;
+    fn choose_among(&mut self, proposals: Option<usize>, _: &Spec) -> bool {
+        self.proposals = proposals.unwrap_or(PROPOSALS);
         true
     }
 }
