@@ -48,10 +48,14 @@ impl Laws {
         let start = self.played.episode(instance);
         require(start.steps == 0 && start.episode_return == 0.0, || "a reset starts anew".into())?;
         self.check_places(&self.saved(instance)?)?;
-        let mut returned = 0.0;
+        let (mut returned, mut first) = (0.0, None);
         while !self.played.episode(instance).done {
             let state = self.saved(instance)?;
             self.check_observation(&state)?;
+            let fixed = fixed(&self.spec, &self.seen);
+            require(*first.get_or_insert(fixed.clone()) == fixed, || {
+                format!("not all of the first {} columns of things stay", self.spec.fixed)
+            })?;
             let actions = self.random_actions(random);
             let step = self.step_twice(instance, &state, &actions, random)?;
             returned += step.reward;
@@ -292,6 +296,16 @@ impl Laws {
         let choose = |set: &u64| member(random, (*set).into()).unwrap_or(0) as u16;
         self.seen.available.iter().map(choose).collect()
     }
+}
+
+/// By things: what is said to stay as it is; nothing where that is said of nothing.
+fn fixed(spec: &Spec, seen: &Observation) -> Vec<(usize, Vec<(usize, f32)>)> {
+    let columns = |thing| {
+        let row = seen.rows.row(seen.row_of(thing));
+        row.filter(|(column, _)| *column < spec.fixed).collect()
+    };
+    let things = if spec.fixed == 0 { 0 } else { seen.things() & seen.entities };
+    members(things).map(|thing| (thing, columns(thing))).collect()
 }
 
 /// An entity that an agent may aim at and does not observe.

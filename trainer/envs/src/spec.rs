@@ -251,6 +251,7 @@ impl Spec {
             ("entities up to the last target", self.targets.end, entities),
             ("aimed actions", self.targets.len(), actions - 1),
             ("features up to the last pair's", self.pairs.end, features),
+            ("features that stay as they are", self.fixed, features),
         ];
         let wrong = sizes.into_iter().find(|(_, found, most)| found > most);
         if let Some((what, found, most)) = wrong {

@@ -38,6 +38,8 @@ pub const ENTRY: Entry = Entry {
 };
 
 const SETS: [&str; 4] = ["5-15", "5-15-sequential", "15", "20"];
+/// Customers that sets have room for, of as many or fewer.
+const USUAL: usize = 15;
 /// What the name of a set ends with whose vehicles may leave the depot while others are outside.
 const SEQUENTIAL: &str = "-sequential";
 
@@ -177,7 +179,7 @@ pub(super) fn open(choice: &Choice<'_>) -> Result<Routing, EnvironmentError> {
         ))
     })?;
     let Settings { vehicles, capacity, wave_cost } = settings;
-    let usual = if *sizes.end() > 15 { 30 } else { 25 };
+    let usual = if *sizes.end() > USUAL { 30 } else { 25 };
     let capacity = if capacity == 0 { usual } else { capacity };
     let refused = |reason: &str| Err(EnvironmentError::Setting(reason.to_string()));
     if !(1..=24).contains(&vehicles) {
@@ -193,7 +195,9 @@ pub(super) fn open(choice: &Choice<'_>) -> Result<Routing, EnvironmentError> {
         return refused("`wave_cost` is from 0 to 100");
     }
     let wave_cost = if sequential { 0.0 } else { wave_cost };
-    let layout = Layout { vehicles, customers: *sizes.end(), sequential };
+    // Sets of alike numbers have the same shape, so that what learned on one plays on the others.
+    let customers = if *sizes.end() <= USUAL { USUAL } else { CUSTOMERS };
+    let layout = Layout { vehicles, customers, sequential };
     let spec = spec(layout);
     let over = Tour::new(Instance::default(), vehicles, None);
     let tours = alloc::vec![over; choice.instances];

@@ -115,18 +115,21 @@ pub(super) fn loss(
     Loss { total: pass.weighted_sum(scores, &slopes), reported: reported.into() }
 }
 
+/// Allocations by states.
+type Planned = BTreeMap<Vec<u8>, Vec<u8>>;
+
 /// An allocator that gives the best that it knows.
 pub(super) struct Greedy<'a> {
     network: (&'a Network, &'a [f32]),
     /// By symmetries of the rules, of which an episode is played to its end under each; the first alone if there is no more.
     groups: Vec<Group>,
     /// What was found best to do in states that are still to come.
-    planned: BTreeMap<Vec<u8>, Vec<u8>>,
+    planned: Planned,
 }
 
 impl<'a> Greedy<'a> {
     pub(super) fn new(network: (&'a Network, &'a [f32])) -> Self {
-        Self { network, groups: vec![Group::default()], planned: BTreeMap::new() }
+        Self { network, groups: vec![Group::default()], planned: Planned::new() }
     }
 
     fn allocated(&mut self, environment: &dyn Environment, state: &[u8], turn: usize) -> Vec<u8> {
@@ -144,15 +147,15 @@ impl<'a> Greedy<'a> {
         world: &mut dyn Environment,
         state: &[u8],
         turn: usize,
-    ) -> Result<(f64, Vec<(Vec<u8>, Vec<u8>)>), LearnError> {
+    ) -> Result<(f64, Planned), LearnError> {
         let mut random = sortie_envs::random::generator(0);
         let mut actions = vec![0; world.spec().shape.agents];
-        let (mut given, mut earned, mut state) = (Vec::new(), 0.0, state.to_vec());
+        let (mut given, mut earned, mut state) = (Planned::new(), 0.0, state.to_vec());
         world.load(0, &state).map_err(LearnError::environment)?;
         loop {
             let allocation = self.allocated(world, &state, turn);
             world.scripted(&state, &allocation, &mut random, &mut actions);
-            given.push((std::mem::take(&mut state), allocation));
+            given.insert(std::mem::take(&mut state), allocation);
             let step = world.step(0, &actions, &mut random)?;
             earned += step.reward;
             if step.done() {

@@ -187,18 +187,26 @@ impl Network {
         pass.linear(x, self.tables)
     }
 
+    /// Keys and values of other agents: what they are, and what they were given.
+    fn others(&self, pass: &mut Pass<'_>, given: Var, decisions: &Decisions) -> Var {
+        let agents = pass.input(self.columns[1], &decisions.agents);
+        let agents = pass.linear(agents, self.agents);
+        let nothing = pass.input(2 * self.width, &vec![0.0; 2 * self.width]);
+        let given = pass.stack(&[given, nothing]);
+        let given = pass.gather(given, &decisions.given);
+        pass.add(agents, given)
+    }
+
     /// `[decisions, subtasks]`: the scores of all subtasks in each decision.
     pub(super) fn scores(&self, pass: &mut Pass<'_>, tables: Var, decisions: &Decisions) -> Var {
         let width = self.width;
         let parts = [0..2 * width, 2 * width..4 * width, 4 * width..TABLES * width];
         let [left, given, keys] = parts.map(|columns| pass.columns(tables, columns));
-        let agents = pass.input(self.columns[1], &decisions.agents);
-        let agents = pass.linear(agents, self.agents);
-        let nothing = pass.input(2 * width, &vec![0.0; 2 * width]);
-        let given = pass.stack(&[given, nothing]);
-        let given = pass.gather(given, &decisions.given);
-        let agents = pass.add(agents, given);
-        let keys_values = pass.stack(&[left, agents]);
+        let mut seen = vec![left];
+        if !decisions.agents.is_empty() {
+            seen.push(self.others(pass, given, decisions));
+        }
+        let keys_values = pass.stack(&seen);
         let context = pass.input(self.context.shape.input, &decisions.contexts);
         let x = pass.linear(context, self.context);
         let x = self.decoder.pass(pass, x, keys_values, &decisions.seen);

@@ -1,6 +1,7 @@
 //! Methods against recorded rounds of other code, and runs of them.
 
 mod aiming;
+mod allocator;
 mod alma_golden;
 mod files;
 mod hal;
