@@ -148,9 +148,12 @@ impl PolicyServer {
             let token = self.link.token();
             let mut newest = None;
             while let Some(message) = self.link.receive()? {
-                newest = Some(message);
+                let order = order_of(message.bytes());
+                if newest.as_ref().is_none_or(|(last, _)| *last <= order) {
+                    newest = Some((order, message));
+                }
             }
-            if let Some(message) = newest {
+            if let Some((_, message)) = newest {
                 if let Some(served) = serving.answer(&self.link, message.bytes()) {
                     told.note(&served);
                     observe(&served);
@@ -174,6 +177,12 @@ impl PolicyServer {
     fn tell(&self, told: &mut ServerPresence, met: &ServeCounters, flags: u32) {
         self.presence.tell(&told.tell(met, flags, MonotonicClock.now_ns()));
     }
+}
+
+/// Of messages that wait the last one by this is answered: what was received last can be what a client left behind that was
+/// killed, while the one after it waits for its answer. Sessions are numbered by their starts.
+fn order_of(message: &[u8]) -> Option<(u64, u64)> {
+    ObservationHead::of(message).map(|head| (head.session, head.seq))
 }
 
 /// Whose observation came last.
@@ -408,6 +417,9 @@ pub struct Served {
 mod tests {
     use std::cell::Cell;
 
+    use sortie_core::wire::ABI;
+    use zerocopy::IntoBytes;
+
     use super::super::Port;
     use super::*;
 
@@ -484,6 +496,17 @@ mod tests {
         }
         let ServeCounters { answered, late, fallbacks, .. } = serving.counters;
         assert_eq!((answered, late, fallbacks), (3, 1, 1));
+    }
+
+    #[test]
+    fn the_newest_observation_of_the_newest_client_comes_last() {
+        let order = |session, seq| {
+            let (magic, abi) = (ObservationHead::MAGIC, ABI);
+            let head = ObservationHead { magic, abi, session, seq, ..Default::default() };
+            order_of(head.as_bytes())
+        };
+        assert!(order(1, 2) > order(1, 1) && order(2, 1) > order(1, 9), "{:?}", order(2, 1));
+        assert!(order_of(&[0; 64]).is_none() && order(0, 0) > order_of(&[]));
     }
 
     #[test]
