@@ -63,7 +63,7 @@ fn a_run_is_inspected_evaluated_prolonged_and_exported() {
         assert_eq!(deployed[figure], learned[figure], "{figure}");
     }
 
-    let longer = output(&["train", "refil", "--resume", &run, "--steps", "3000", "-q"]);
+    let longer = output(&["train", "refil", "--resume", &run, "--steps", "15000", "-q"]);
     assert!(longer.status.success(), "{}", support::stderr(&longer));
     let facts = json(&["inspect", &run, "--json"]);
     assert_eq!(facts["curve"].as_array().map(Vec::len), Some(3));
@@ -204,4 +204,35 @@ fn a_run_whose_folder_is_not_named_says_in_its_name_what_it_is() {
         2,
         &["runs/maac-particle-rover-tower-8-s3", "another folder"],
     );
+}
+
+/// Its agents follow a script, and what allocates them is not deployed yet.
+#[test]
+fn an_allocator_alone_is_evaluated_and_looked_at_and_not_exported() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (run, page) = (path("run"), path("routes.html"));
+    let small = [
+        "network.width=16",
+        "environment.instances=32",
+        "optimiser.learning_rate=0.003",
+        "run.final_episodes=50",
+    ];
+    let small = small.iter().flat_map(|set| ["--set", set]);
+    let words =
+        ["train", "allocator", "--env", "routing/5-15", "--steps", "15000", "-q", "--out", &run];
+    let trained = output(&words.into_iter().chain(small).collect::<Vec<_>>());
+    assert!(trained.status.success(), "{}", support::stderr(&trained));
+    let over = |more: &[&str]| {
+        let words = ["eval", &run, "--episodes", "60", "--json"];
+        let played = json(&[&words, more].concat());
+        played["over_optimum"].as_f64().expect("a ratio")
+    };
+    assert!(over(&["--proposals", "8"]) < over(&[]), "the best of eight is no better");
+    // What learned on any number of customers plays on any other up to as many.
+    assert!(over(&["--env", "routing/7"]) > 1.0 && over(&["--allocation", "nearest"]) < 1.4);
+    let viewed = output(&["view", &run, "--output", &page]);
+    assert!(viewed.status.success(), "{}", support::stderr(&viewed));
+    assert!(std::fs::read_to_string(page).is_ok_and(|html| html.contains("customer")));
+    assert_fails(&output(&["export", &run, "--out", &path("bundle")]), 2, &["evaluated only"]);
 }

@@ -14,7 +14,8 @@ pub(crate) use live::{Hashes, Live, live};
 use sortie_bundle::Bundle;
 use sortie_envs::{DecisionPoints, ENVIRONMENTS, Environment, Split, golden};
 use sortie_learn::subtasks::{
-    Agents, Allocate, AllocatedScene, AllocatedTeam, PolicyAgents, ScriptedAgents,
+    Agents, Allocate, AllocatedScene, AllocatedTeam, AllocatorNetworks, LearnedAllocator,
+    PolicyAgents, ScriptedAgents,
 };
 use sortie_learn::{Act, LearnError};
 use sortie_pages::{Captured, Heading, TeamLog, page, play, play_deployed};
@@ -194,10 +195,15 @@ fn think(
             return Ok(captured);
         }
         Some(Subject::Run(run)) => {
-            let agents = run.method.subtasks().map(|subtasks| subtasks.agents);
-            let agents = agents.ok_or_else(unmasked)?;
-            let captured = watch(&mut AllocatedTeam::new(agents, allocator, interval))?;
-            return if captured.is_told() { Ok(captured) } else { Err(unmasked()) };
+            let subtasks = run.method.subtasks().ok_or_else(unmasked)?;
+            // Who points allocates agents that follow a script: they have nothing to tell.
+            let pointing = |learned: &LearnedAllocator<'_>| {
+                matches!(learned.networks, AllocatorNetworks::Pointing)
+            };
+            let tell_nothing = subtasks.allocator.as_ref().is_some_and(pointing);
+            let captured = watch(&mut AllocatedTeam::new(subtasks.agents, allocator, interval))?;
+            let is_told = tell_nothing || captured.is_told();
+            return if is_told { Ok(captured) } else { Err(unmasked()) };
         }
         Some(Subject::Scripted) => Box::new(ScriptedAgents::new(seed)),
         None => Box::new(Nobody),
