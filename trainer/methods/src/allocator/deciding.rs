@@ -1,6 +1,6 @@
 //! One agent after the other points at a subtask, in any number of episodes that have the same subtasks.
 
-use sortie_envs::{ActionSet, EntitySet, Environment, Observation, Random, UNASSIGNED, members};
+use sortie_envs::{EntitySet, Environment, Observation, Random, UNASSIGNED, members};
 use sortie_nn::layers::softmax;
 use sortie_nn::tape::Tape;
 
@@ -115,8 +115,13 @@ impl Team {
         self.taken |= 1 << task & self.exclusive;
     }
 
-    /// Describes a decision.
-    fn describe(&self, agent: usize, subtasks: &Subtasks, decisions: &mut Decisions) {
+    /// Describes a decision about an agent that has these options.
+    fn describe(
+        &self,
+        (agent, options): (usize, u32),
+        subtasks: &Subtasks,
+        decisions: &mut Decisions,
+    ) {
         let columns = self.row(agent).len();
         let acts = |agent: &usize| self.offers[*agent] != 0;
         let [before, after] = [0..agent, agent + 1..self.offers.len()]
@@ -135,8 +140,8 @@ impl Team {
             decisions.given.push(subtasks.place(self.allocation[other]) as u32);
         }
         decisions.seen.end_list();
-        let options = subtasks.places(self.options(agent));
-        decisions.offered.push(options.fold(0, |set, place| set | 1 << place));
+        let offered = subtasks.places(options).fold(0, |set, place| set | 1 << place);
+        decisions.offered.push(offered);
     }
 
     /// Adds the mean row of some agents, zeros where there are none.
@@ -179,6 +184,17 @@ impl Group {
         self.made.clear();
     }
 
+    /// Looks at the subtasks, unless they are those that were looked at last.
+    fn encode(&mut self, (network, weights): (&Network, &[f32]), subtasks: Subtasks) {
+        if subtasks == self.subtasks {
+            return;
+        }
+        let mut pass = self.tape.begin(weights);
+        let encoded = network.encode(&mut pass, &subtasks.rows);
+        self.tables = pass.values(encoded).to_vec();
+        self.subtasks = subtasks;
+    }
+
     /// Allocates the agents of some states of these episodes, each by its number: `choose` picks a place among those that a
     /// decision offers, by the scores of all.
     pub(super) fn allocate(
@@ -198,13 +214,8 @@ impl Group {
             }
             teams.push(Team::of(environment, state, &seen));
         }
+        self.encode((network, weights), subtasks);
         let Self { tables, made, tape, now, .. } = self;
-        if subtasks != self.subtasks {
-            let mut pass = tape.begin(weights);
-            let encoded = network.encode(&mut pass, &subtasks.rows);
-            *tables = pass.values(encoded).to_vec();
-            self.subtasks = subtasks;
-        }
         for agent in 0..spec.shape.agents {
             now.clear();
             let mut deciding = Vec::new();
@@ -214,7 +225,7 @@ impl Group {
                     0 => {}
                     1 => team.give(agent, options.trailing_zeros() as u8),
                     _ => {
-                        team.describe(agent, &self.subtasks, now);
+                        team.describe((agent, options), &self.subtasks, now);
                         now.episodes.push(*episode);
                         deciding.push(team);
                     }
@@ -246,9 +257,11 @@ pub(super) fn draw(scores: &[f32], offered: u32, random: &mut Random) -> usize {
 /// The softmax of the scores of those places that are offered.
 pub(super) fn chances(scores: &[f32], offered: u32) -> Vec<f32> {
     let masked = scores.iter().enumerate();
-    let masked = masked.map(|(place, score)| {
-        if ActionSet::from(offered) >> place & 1 == 1 { *score } else { f32::NEG_INFINITY }
-    });
+    let masked = masked.map(
+        |(place, score)| {
+            if offered >> place & 1 == 1 { *score } else { f32::NEG_INFINITY }
+        },
+    );
     let mut chances: Vec<f32> = masked.collect();
     softmax::forward(&mut chances);
     chances

@@ -71,6 +71,11 @@ impl Allocator {
         })
     }
 
+    /// The allocator as it is measured.
+    fn greedy(&self) -> Greedy<'_> {
+        Greedy::new((&self.network, &self.learner.average))
+    }
+
     /// How much better than its group's mean each episode was, in units of the group's spread: long routes count as much as
     /// short ones (Shao et al. 2024).
     pub(super) fn advantages(&self) -> Vec<f32> {
@@ -278,13 +283,12 @@ impl Method for Allocator {
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
-        let allocator = Greedy::new((&self.network, &self.learner.average));
-        Box::new(AllocatedTeam::new(Box::new(ScriptedAgents::new(0)), Box::new(allocator), 1))
+        Box::new(AllocatedTeam::new(Box::new(ScriptedAgents::new(0)), Box::new(self.greedy()), 1))
     }
 
     fn subtasks(&self) -> Option<Subtasks<'_>> {
         let allocator = LearnedAllocator {
-            allocate: Box::new(Greedy::new((&self.network, &self.learner.average))),
+            allocate: Box::new(self.greedy()),
             networks: AllocatorNetworks::Pointing,
             team_max: None,
         };

@@ -1,5 +1,5 @@
 //! The network: subtasks are encoded once an episode, then each agent in turn points at one of them (the attention model of
-//! Kool et al. 2019, with the agents that are still to choose in its sight).
+//! Kool et al. 2019, with the other agents and what they were given in its sight).
 
 use sortie_learn::LearnError;
 use sortie_learn::configuration::require;
