@@ -63,7 +63,7 @@ fn a_run_is_inspected_evaluated_prolonged_and_exported() {
         assert_eq!(deployed[figure], learned[figure], "{figure}");
     }
 
-    let longer = output(&["train", "refil", "--resume", &run, "--steps", "15000", "-q"]);
+    let longer = output(&["train", "refil", "--resume", &run, "--steps", "3000", "-q"]);
     assert!(longer.status.success(), "{}", support::stderr(&longer));
     let facts = json(&["inspect", &run, "--json"]);
     assert_eq!(facts["curve"].as_array().map(Vec::len), Some(3));
