@@ -6,8 +6,8 @@ mod input;
 use input::Input;
 use libfuzzer_sys::fuzz_target;
 use sortie_core::allocate::{
-    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, SearchMemory,
-    TaskRelation, TeamValueAllocator, exact,
+    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, PointingAllocator,
+    PointingRules, SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
 use sortie_core::plan::{Aligned, Plan, arena_bytes};
 use sortie_core::{
@@ -15,6 +15,8 @@ use sortie_core::{
 };
 
 const TEAM_VALUE: &[u8] = include_plan!("../../tests/golden/plans/team-value-2.0.plan");
+const ENCODER: &[u8] = include_plan!("../../tests/golden/plans/pointing-encoder-2.3.plan");
+const DECODER: &[u8] = include_plan!("../../tests/golden/plans/pointing-decoder-2.3.plan");
 const RELATIONS: usize = 3;
 
 /// Repeats numbers of the input as costs and as relations.
@@ -51,11 +53,12 @@ impl CostModel for Repeat {
 fuzz_target!(|bytes: &[u8]| {
     let mut input = Input(bytes);
     let (agents, tasks, team_max) = (input.up_to(66), input.up_to(33), input.up_to(5));
-    let (entities, stride) = (input.up_to(130), 5 + input.up_to(3));
+    let (entities, stride) = (input.up_to(130), 5 + input.up_to(9));
     let exact_agents = input.up_to(11);
     let numbers: Vec<f32> = (0..1 + input.up_to(30)).map(|_| input.float()).collect();
     let entity_task: Vec<u32> = (0..entities).map(|_| input.word() as u32).collect();
     let rows: Vec<f32> = (0..entities * stride).map(|_| input.float()).collect();
+    let available: Vec<u16> = (0..input.up_to(400)).map(|_| input.up_to(2) as u16).collect();
     let state = AllocationState {
         agents,
         tasks,
@@ -64,12 +67,19 @@ fuzz_target!(|bytes: &[u8]| {
         present: EntityMask::from_words(&[input.word(), input.word()]),
         entity_task: &entity_task,
         open_tasks: input.word() as u32,
+        available: &available,
     };
     let mut costs = vec![0.0; 64 * 32];
     for method in [CostMethod::Greedy, CostMethod::Hungarian] {
         let model = Repeat(numbers.clone());
         check(&state, team_max, &mut CostAllocator { model, method, team_max, costs: &mut costs });
     }
+    let plans = [ENCODER, DECODER].map(|plan| Plan::load(plan).expect("a golden plan"));
+    let mut arena = Aligned([0; arena_bytes(ENCODER) + arena_bytes(DECODER)]);
+    let mut floats = vec![0.0; PointingAllocator::memory_floats(plans.each_ref())];
+    let rules = PointingRules { exclusive: input.word() as u32, first_action: input.up_to(9) as u16 };
+    let pointing = PointingAllocator::new(plans, rules, &mut arena.0, &mut floats);
+    check(&state, usize::MAX, &mut pointing.expect("an arena that fits"));
     let plan = Plan::load(TEAM_VALUE).expect("a golden plan");
     let mut arena = Aligned([0; arena_bytes(TEAM_VALUE)]);
     let mut rows = vec![0.0; PlanTeamValue::memory_floats(&plan, 128)];

@@ -6,7 +6,7 @@ use sortie_core::allocate::{PlanTeamValue, ProposalAllocator, TeamQuery, TeamVal
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{AllocateError, Allocator};
 use sortie_learn::subtasks::PROPOSALS;
-use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
+use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine, PointingMemory};
 use sortie_stage::{Search, SearchSizes, TeamValuePlan};
 
 use crate::allocation::AllocatorChoice;
@@ -21,6 +21,7 @@ pub enum DeployedAllocator {
     Rule(RuleAllocator),
     Learned(Box<LearnedAllocator>),
     Proposing(Box<ProposalMemory>),
+    Pointing(Box<PointingMemory>),
 }
 
 impl DeployedAllocator {
@@ -49,6 +50,10 @@ impl DeployedAllocator {
             proposals.check_unused()?;
             return Ok(Self::Rule(rule_allocator(entry_of(bundle)?, rule, seed)?));
         }
+        if bundle.pointing_graphs().is_some() {
+            proposals.check_unused()?;
+            return Ok(Self::Pointing(Box::new(open_pointing(bundle, backend)?)));
+        }
         match ProposalMemory::open(bundle, backend, proposals.count(), seed)? {
             Some(memory) => Ok(Self::Proposing(Box::new(memory))),
             None => {
@@ -64,6 +69,7 @@ impl DeployedAllocator {
             Self::Rule(rule) => Ok(Box::new(rule)),
             Self::Learned(learned) => Ok(Box::new(learned.allocator()?)),
             Self::Proposing(memory) => Ok(Box::new(memory.allocator()?)),
+            Self::Pointing(memory) => Ok(Box::new(memory.bind().map_err(CompileError::from)?)),
         }
     }
 }
@@ -184,6 +190,25 @@ impl TeamValueNetwork for BoundNetwork<'_> {
     }
 }
 
+/// The plans of an allocator that points, which have given its golden allocations.
+fn open_pointing(bundle: &Bundle, backend: Backend) -> Result<PointingMemory, Failure> {
+    refuse_tract(bundle, backend)?;
+    let name = bundle.folder().display();
+    let found =
+        plans().pointing(bundle).and_then(|memory| Ok(memory.ok_or(PlanError::WrongNetwork)?));
+    found.map_err(|error| Failure::from(error).within(&name))
+}
+
+/// Refuses another engine than plans.
+fn refuse_tract(bundle: &Bundle, backend: Backend) -> Outcome {
+    if backend == Backend::Plan {
+        return Ok(());
+    }
+    let name = bundle.folder().display();
+    let message = format!("the allocator of `{name}` runs as a plan only: `--backend plan`");
+    Err(Failure::new(Exit::Usage, message))
+}
+
 /// How many allocations are proposed.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub struct ProposalArguments {
@@ -251,12 +276,8 @@ impl ProposalMemory {
         if bundle.proposal_graphs().is_none() {
             return Ok(None);
         }
+        refuse_tract(bundle, backend)?;
         let name = bundle.folder().display();
-        if backend == Backend::Tract {
-            let message =
-                format!("the allocator of `{name}` runs as a plan only: `--backend plan`");
-            return Err(Failure::new(Exit::Usage, message));
-        }
         let open = || -> Result<Self, CompileError> {
             let plan = plans().proposals(bundle, profile)?;
             let plan = plan.ok_or(PlanError::WrongNetwork)?;

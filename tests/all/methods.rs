@@ -206,9 +206,9 @@ fn a_run_whose_folder_is_not_named_says_in_its_name_what_it_is() {
     );
 }
 
-/// Its agents follow a script, and what allocates them is not deployed yet.
+/// Its agents head for what they are given.
 #[test]
-fn an_allocator_alone_is_evaluated_and_looked_at_and_not_exported() {
+fn an_allocator_alone_is_deployed_as_it_was_measured() {
     let place = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| place.path().join(name).display().to_string();
     let (run, page) = (path("run"), path("routes.html"));
@@ -234,5 +234,30 @@ fn an_allocator_alone_is_evaluated_and_looked_at_and_not_exported() {
     let viewed = output(&["view", &run, "--output", &page]);
     assert!(viewed.status.success(), "{}", support::stderr(&viewed));
     assert!(std::fs::read_to_string(page).is_ok_and(|html| html.contains("customer")));
-    assert_fails(&output(&["export", &run, "--out", &path("bundle")]), 2, &["evaluated only"]);
+    let bundle = path("bundle");
+    let exported = output(&["export", &run, "--out", &bundle, "--episodes", "10", "-q"]);
+    assert!(exported.status.success(), "{}", support::stderr(&exported));
+    let play = |subject: &str| json(&["eval", subject, "--episodes", "60", "--json"]);
+    let (learned, deployed) = (play(&run), play(&bundle));
+    for figure in ["return_mean", "over_optimum", "vehicles", "waves", "by_team"] {
+        assert_eq!(deployed[figure], learned[figure], "{figure}");
+    }
+    let verified = json(&["verify", &bundle, "--inputs", "32", "--json"]);
+    let compared = verified["engines"].as_array().expect("engines");
+    let named = |name: &str| compared.iter().any(|one| one["name"] == name);
+    assert!(named("allocator plan against golden allocations"), "{verified}");
+    assert!(named("decoder plan against tract, random inputs"), "{verified}");
+    assert!(compared.iter().all(|one| one["action_mismatches"] == 0), "{verified}");
+
+    let domain = support::TestDomain::new("routes");
+    let drive = |more: &[&str]| {
+        let words = ["run", &bundle, "--episodes", "5", "--seed", "3", "--json", "--domain"];
+        json(&[&words, &[domain.id.as_str()][..], more].concat())
+    };
+    let (processes, in_process) = (drive(&["--isolate"]), drive(&["--in-process"]));
+    for figure in ["return_mean", "metrics", "by_team", "decisions", "fallbacks"] {
+        assert_eq!(processes[figure], in_process[figure], "{figure}");
+    }
+    let words = ["eval", &bundle, "--episodes", "2", "--backend", "tract"];
+    assert_fails(&output(&words), 2, &["runs as a plan only"]);
 }

@@ -116,7 +116,17 @@ impl Asked<'_, '_> {
             _ => entity_tasks.chunks(tasks).map(bits).collect(),
         };
         let (agents, open_tasks) = (self.agents, bits(&open));
-        Ok(OwnedAllocationState { agents, tasks, rows, features, present, entity_task, open_tasks })
+        let available = Vec::new();
+        Ok(OwnedAllocationState {
+            agents,
+            tasks,
+            rows,
+            features,
+            present,
+            entity_task,
+            open_tasks,
+            available,
+        })
     }
 
     fn relation(&self, state: &OwnedAllocationState, columns: usize) -> PyResult<Relation> {

@@ -28,6 +28,8 @@ pub struct OwnedAllocationState {
     pub entity_task: Vec<u32>,
     /// Bit t set where subtask t is open.
     pub open_tasks: u32,
+    /// Availability codes `[A, U]`, 0 = not available; empty where nobody tells.
+    pub available: Vec<u16>,
 }
 
 impl OwnedAllocationState {
@@ -41,6 +43,7 @@ impl OwnedAllocationState {
             present: self.present,
             entity_task: &self.entity_task,
             open_tasks: self.open_tasks,
+            available: &self.available,
         }
     }
 
@@ -110,6 +113,9 @@ pub(crate) struct AllocationCase {
     present: Vec<usize>,
     entity_tasks: Vec<Vec<usize>>,
     open_tasks: Vec<usize>,
+    /// By agents: the actions that are available, where that is told.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    available: Vec<Vec<usize>>,
     relations: usize,
     relation: Vec<Vec<(usize, usize, f32)>>,
     values: Vec<ValueCase>,
@@ -140,12 +146,17 @@ impl AllocationCase {
             value: value.value,
         };
         let assigned = |task: &u8| (*task != UNASSIGNED).then_some(*task);
+        let told = |codes: &[u16]| {
+            let codes = codes.iter().enumerate();
+            codes.filter(|(_, code)| **code != 0).map(|(action, _)| action).collect()
+        };
         Self {
             agents: state.agents,
             entities: state.rows.chunks(state.features.max(1)).map(named).collect(),
             present: state.present.iter().collect(),
             entity_tasks: state.entity_task.iter().map(|tasks| bits((*tasks).into())).collect(),
             open_tasks: state.open().collect(),
+            available: state.available.chunks(contract.actions.into()).map(told).collect(),
             relations: case.relations,
             relation: state.open().map(|task| sparse(case.relation_to(task))).collect(),
             values: case.values.iter().map(value).collect(),
@@ -164,6 +175,7 @@ impl AllocationCase {
             || self.entity_tasks.len() != entities
             || self.allocation.len() != self.agents
             || self.relation.len() != self.open_tasks.len()
+            || ![0, self.agents].contains(&self.available.len())
             || !self.open_tasks.is_sorted_by(|task, next| task < next)
         {
             return Err("the sizes do not fit each other".to_owned());
@@ -183,6 +195,7 @@ impl AllocationCase {
                 .map(|entity| tasks(entity))
                 .collect::<Result<_, _>>()?,
             open_tasks: tasks(&self.open_tasks)?,
+            available: codes(&self.available, contract.actions.into())?,
         };
         let mut relation = vec![0.0; self.open_tasks.len() * entities * self.relations];
         let floats = (entities * self.relations).max(1);
@@ -209,6 +222,17 @@ impl AllocationCase {
 /// The numbers of the bits that are set.
 fn bits(mask: u64) -> Vec<usize> {
     (0..64).filter(|bit| mask >> bit & 1 == 1).collect()
+}
+
+/// Availability codes of so many actions, from the numbers of those that are available.
+fn codes(available: &[Vec<usize>], actions: usize) -> Result<Vec<u16>, String> {
+    let mut codes = vec![0; available.len() * actions];
+    for (codes, available) in codes.chunks_exact_mut(actions.max(1)).zip(available) {
+        for action in available {
+            *codes.get_mut(*action).ok_or("an action is available that there is not")? = 1;
+        }
+    }
+    Ok(codes)
 }
 
 /// The mask of bits below `limit`.
@@ -244,6 +268,7 @@ pub(crate) mod tests {
                 present,
                 entity_task: vec![0, 0, 1, 2, 4],
                 open_tasks: 0b101,
+                available: vec![0, 1, 1, 0],
             },
             relations: 2,
             relation,

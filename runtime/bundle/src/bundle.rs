@@ -4,13 +4,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
+use sortie_core::allocate::PointingRules;
+
 use crate::contract::{ContractV1, OptionsContract};
 use crate::error::BundleError;
 use crate::files::{self, MOST_BYTES, hex, sha256};
 use crate::golden::{Golden, MIN_ALLOCATIONS, MIN_CASES};
 use crate::manifest::{
     AGENT, AgentGraph, Contract, Environment, FORMAT, Limits, Manifest, Network, OPTION_GRAPHS,
-    POLICY, PROPOSALS, TEAM_VALUE,
+    POINTING, POLICY, PROPOSALS, TEAM_VALUE,
 };
 use crate::policy_roles::PolicyRoles;
 use crate::recording::Recording;
@@ -22,6 +24,10 @@ pub const ALLOCATOR: &str = "allocator_team_value.onnx";
 /// Trunk, step and critic of an allocator that proposes.
 pub const PROPOSAL_PARTS: [&str; 3] =
     ["allocator_trunk.onnx", "allocator_step.onnx", "allocator_critic.onnx"];
+/// Encoder and decoder of an allocator that points.
+pub const POINTING_PARTS: [&str; 2] = ["allocator_encoder.onnx", "allocator_decoder.onnx"];
+/// Their plans.
+pub const POINTING_PLANS: [&str; 2] = ["allocator_encoder.plan", "allocator_decoder.plan"];
 /// The plan of the allocator's network, or of its three networks.
 pub const ALLOCATOR_PLAN: &str = "allocator.plan";
 /// What is what in the agent's network, where that is a policy of somebody else and must be said.
@@ -205,6 +211,13 @@ impl Bundle {
         let [trunk, step, critic] = PROPOSAL_PARTS.map(|name| self.part(name));
         kind.filter(|kind| *kind == PROPOSALS).and(Some([trunk?, step?, critic?]))
     }
+
+    /// Encoder and decoder, where the allocator points, and what it can give.
+    pub fn pointing_graphs(&self) -> Option<([&[u8]; 2], PointingRules)> {
+        let rules = self.manifest.network.pointing.as_ref()?.rules();
+        let [encoder, decoder] = POINTING_PARTS.map(|name| self.part(name));
+        Some(([encoder?, decoder?], rules))
+    }
 }
 
 impl Draft {
@@ -276,7 +289,7 @@ impl Draft {
             return invalid(name, "not a plain file name, or one that the bundle uses".to_owned());
         }
         let needed = allocator_parts(&self.network);
-        for name in [ALLOCATOR].iter().chain(&PROPOSAL_PARTS) {
+        for name in [ALLOCATOR].iter().chain(&PROPOSAL_PARTS).chain(&POINTING_PARTS) {
             if needed.contains(name) != self.parts.contains_key(*name) {
                 return invalid(name, "an allocator needs its kind and its network".to_owned());
             }
@@ -337,7 +350,7 @@ impl Manifest {
         if let Some(flaw) = manifest.network.graphs_flaw(&manifest.contract.v1) {
             return Err(invalid(format!("{flaw}, in [network]")));
         }
-        let known = |kind: &String| [TEAM_VALUE, PROPOSALS].contains(&kind.as_str());
+        let known = |kind: &String| [TEAM_VALUE, PROPOSALS, POINTING].contains(&kind.as_str());
         if let Some(kind) = manifest.network.allocator.as_ref().filter(|kind| !known(kind)) {
             return Err(invalid(format!("allocator `{kind}` is not known: update sortie")));
         }
@@ -364,6 +377,7 @@ fn allocator_parts(network: &Network) -> &'static [&'static str] {
     match network.allocator.as_deref() {
         Some(TEAM_VALUE) => &[ALLOCATOR],
         Some(PROPOSALS) => &PROPOSAL_PARTS,
+        Some(POINTING) => &POINTING_PARTS,
         _ => &[],
     }
 }
@@ -435,7 +449,8 @@ fn golden_flaw(golden: &Golden, network: &Network) -> Option<String> {
     if let Some((graph, _)) = graphs.find(|(_, index)| !deciding.contains(&Some(*index))) {
         return Some(format!("no case is of an agent that decides by the graph `{}`", graph.name));
     }
-    let few = network.allocator.as_deref() == Some(TEAM_VALUE) && allocations < MIN_ALLOCATIONS;
+    let records = [Some(TEAM_VALUE), Some(POINTING)].contains(&network.allocator.as_deref());
+    let few = records && allocations < MIN_ALLOCATIONS;
     few.then(|| format!("{allocations} allocations, at least {MIN_ALLOCATIONS} are needed"))
 }
 

@@ -21,7 +21,7 @@ mod tests;
 pub use allocation::{GoldenAllocation, GoldenValue, OwnedAllocationState};
 pub use bundle::{
     ALLOCATOR, ALLOCATOR_PLAN, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN, MANIFEST,
-    POLICY_ROLES, PROPOSAL_PARTS, TRAINING,
+    POINTING_PARTS, POINTING_PLANS, POLICY_ROLES, PROPOSAL_PARTS, TRAINING,
 };
 pub use contract::{
     Affords, CONTRACT_ABI, ContractV1, FallbackAllocation, MilestoneSign, OptionsContract,
@@ -34,7 +34,7 @@ pub use golden::{
 };
 pub use manifest::{
     AGENT, AGENT_PLAN, AgentGraph, Contract, Environment, Limits, Manifest, Network, OPTION_GRAPHS,
-    OPTIONS, POLICY, PROPOSALS, TEAM_VALUE,
+    OPTIONS, POINTING, POLICY, PROPOSALS, PointingContract, TEAM_VALUE,
 };
 pub use policy_roles::PolicyRoles;
 pub use recording::{RecordedAgent, RecordedFrame, Recording, RecordingError};

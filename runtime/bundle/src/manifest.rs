@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
+use sortie_core::allocate::PointingRules;
 use sortie_core::limits;
 
 use crate::contract::{ContractV1, OptionsContract};
@@ -12,7 +13,7 @@ pub const AGENT: &str = "agent.onnx";
 /// The plan of the agent's network: profile `exact`, for as many entities as the limits say.
 pub const AGENT_PLAN: &str = "agent.plan";
 /// The newest bundle format that this program reads.
-pub(crate) const FORMAT: u32 = 3;
+pub(crate) const FORMAT: u32 = 4;
 
 /// The kind of agent network that is a policy over inputs of fixed sizes, whoever exported it.
 pub const POLICY: &str = "policy";
@@ -26,6 +27,8 @@ pub const OPTION_GRAPHS: [&str; 3] = ["controller", "meta", "affordance"];
 pub const TEAM_VALUE: &str = "team-value";
 /// The kind of allocator that proposes allocations and values them: trunk, step and critic.
 pub const PROPOSALS: &str = "proposals";
+/// The kind of allocator that points at a subtask for one agent after the other: encoder and decoder.
+pub const POINTING: &str = "pointing";
 
 /// The content of `bundle.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -109,7 +112,7 @@ impl Limits {
 pub struct Network {
     /// Kind of the agent network, for example `masked-attention`, or [`POLICY`].
     pub agent: String,
-    /// Kind of the allocator's network, [`TEAM_VALUE`] or [`PROPOSALS`], where the bundle has one.
+    /// Kind of the allocator's network, [`TEAM_VALUE`], [`PROPOSALS`] or [`POINTING`], where the bundle has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub allocator: Option<String>,
     /// Floats of the agent's hidden state, 0 if it has none.
@@ -123,6 +126,42 @@ pub struct Network {
     /// The rules of an [`OPTIONS`] agent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub options: Option<OptionsContract>,
+    /// What a [`POINTING`] allocator can give.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pointing: Option<PointingContract>,
+}
+
+/// What agents can be given by a [`POINTING`] allocator.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PointingContract {
+    /// Subtasks that one agent alone can be given, while an action that heads for it is available.
+    pub exclusive: Vec<u8>,
+    /// The action that heads for the first subtask; each of the next heads for the next one.
+    pub first_action: u16,
+}
+
+impl PointingContract {
+    /// As allocators take them.
+    pub fn rules(&self) -> PointingRules {
+        let Self { exclusive, first_action } = self;
+        let bit = |task: &u8| 1_u32.checked_shl((*task).into()).unwrap_or(0);
+        PointingRules {
+            exclusive: exclusive.iter().map(bit).fold(0, |tasks, task| tasks | task),
+            first_action: *first_action,
+        }
+    }
+
+    fn flaw(&self, contract: &ContractV1) -> Option<String> {
+        if let Some(task) = self.exclusive.iter().find(|task| usize::from(**task) >= limits::TASKS)
+        {
+            return Some(format!("pointing.exclusive names subtask {task}, there are up to 31"));
+        }
+        (self.first_action >= contract.actions).then(|| {
+            let (first, actions) = (self.first_action, contract.actions);
+            format!("pointing.first_action is {first}, there are {actions} actions")
+        })
+    }
 }
 
 /// A graph by which some of a team's agents decide.
@@ -172,12 +211,13 @@ impl AgentGraph {
 
 impl Network {
     /// The format of its bundle: programs that know of one graph for all agents read the first, those that know of no options
-    /// the second.
+    /// the second, those that know of no allocator that points the third.
     pub(crate) fn format(&self) -> u32 {
-        match self.options {
-            Some(_) => 3,
-            None if self.graphs.is_empty() => 1,
-            None => 2,
+        match (&self.pointing, &self.options) {
+            (Some(_), _) => 4,
+            (None, Some(_)) => 3,
+            (None, None) if self.graphs.is_empty() => 1,
+            (None, None) => 2,
         }
     }
 
@@ -191,6 +231,14 @@ impl Network {
             return Some(
                 "an agent of kind `options` needs its rules, and no other has any".to_owned(),
             );
+        }
+        if (self.allocator.as_deref() == Some(POINTING)) != self.pointing.is_some() {
+            return Some(
+                "an allocator of kind `pointing` needs its rules, and no other has any".to_owned(),
+            );
+        }
+        if let Some(flaw) = self.pointing.as_ref().and_then(|pointing| pointing.flaw(contract)) {
+            return Some(flaw);
         }
         if let Some(options) = &self.options {
             return options_flaw(options, contract);

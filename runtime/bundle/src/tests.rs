@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
+use sortie_core::allocate::PointingRules;
 use sortie_core::{EntityMask, limits};
 
 use crate::files::MOST_BYTES;
@@ -11,7 +12,8 @@ use crate::{
     AGENT, ALLOCATOR, AgentGraph, Bundle, BundleError, CARD, CONTRACT_ABI, ContractV1, Draft,
     Environment, FallbackAllocation, GOLDEN, Golden, GoldenAllocation, GoldenCase, GoldenValue,
     Limits, MANIFEST, MIN_ALLOCATIONS, MIN_CASES, Network, OwnedAllocationState, OwnedObservation,
-    POLICY, PROPOSAL_PARTS, PROPOSALS, SubtaskConditioning, TEAM_VALUE, hex, sha256,
+    POINTING, POINTING_PARTS, POLICY, PROPOSAL_PARTS, PROPOSALS, PointingContract,
+    SubtaskConditioning, TEAM_VALUE, hex, sha256,
 };
 
 fn draft() -> Draft {
@@ -69,6 +71,7 @@ fn draft_with_allocator() -> Draft {
             present: EntityMask::first(2),
             entity_task: vec![0, 1],
             open_tasks: 1,
+            available: Vec::new(),
         },
         relations: 0,
         relation: vec![],
@@ -147,6 +150,43 @@ fn a_proposing_allocator_comes_back_and_is_never_half_there() {
         let refused = bad.write(&home.path().join("other"));
         assert!(matches!(refused, Err(BundleError::Invalid { .. })));
     }
+}
+
+#[test]
+fn an_allocator_that_points_comes_back_with_what_it_can_give() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("routes");
+    let mut pointing = draft_with_allocator();
+    pointing.parts.remove(ALLOCATOR);
+    pointing.network.allocator = Some(POINTING.into());
+    pointing.network.pointing = Some(PointingContract { exclusive: vec![0, 4], first_action: 1 });
+    for name in POINTING_PARTS {
+        pointing.parts.insert(name.into(), name.as_bytes().to_vec());
+    }
+    let bundle = pointing.write(&folder).unwrap();
+    let rules = PointingRules { exclusive: 0b1_0001, first_action: 1 };
+    assert_eq!(bundle.pointing_graphs(), Some((POINTING_PARTS.map(str::as_bytes), rules)));
+    assert_eq!((bundle.manifest().format, bundle.allocator_onnx()), (4, None));
+    assert_eq!(draft().write(&home.path().join("plain")).unwrap().pointing_graphs(), None);
+
+    let refused = |change: fn(&mut Draft)| {
+        let mut bad = pointing.clone();
+        change(&mut bad);
+        bad.write(&home.path().join("other")).unwrap_err().to_string()
+    };
+    let told = |words: &str, change: fn(&mut Draft)| {
+        let error = refused(change);
+        assert!(error.contains(words), "{error}");
+    };
+    told("needs its rules", |bad| bad.network.pointing = None);
+    told("needs its rules", |bad| bad.network.allocator = Some(TEAM_VALUE.into()));
+    told("an allocator needs its kind", |bad| drop(bad.parts.remove(POINTING_PARTS[1])));
+    told("allocations, at least", |bad| bad.golden.allocations.clear());
+    fn given(exclusive: Vec<u8>, first_action: u16) -> Option<PointingContract> {
+        Some(PointingContract { exclusive, first_action })
+    }
+    told("first_action is 2, there are 2", |bad| bad.network.pointing = given(vec![0], 2));
+    told("names subtask 32", |bad| bad.network.pointing = given(vec![3, 32], 0));
 }
 
 /// A draft of a team with two roles, the second of which may not go.
@@ -282,7 +322,7 @@ fn an_edited_manifest_is_refused_with_its_reason() {
         fs::write(&path, text.replace(from, to)).unwrap();
         message(&folder)
     };
-    assert!(refused("format = 1", "format = 4").contains("update sortie"));
+    assert!(refused("format = 1", "format = 5").contains("update sortie"));
     assert!(refused("decision_interval = 5", "decision_interval = 6").contains("was edited"));
     assert!(refused("\"distance\"", "\"distance\", \"x\"").contains("2 feature names for 1"));
     assert!(refused("\"card.md\"", "\"../card.md\"").contains("not a plain file name"));

@@ -23,6 +23,8 @@ pub struct AllocationState<'a> {
     pub entity_task: &'a [u32],
     /// Bit t set where subtask t is present and not finished.
     pub open_tasks: u32,
+    /// Availability codes `[A, U]` of the agents' actions, 0 = not available; empty where nobody tells.
+    pub available: &'a [u16],
 }
 
 impl AllocationState<'_> {

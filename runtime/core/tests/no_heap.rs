@@ -6,8 +6,8 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use sortie_core::allocate::{
-    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, ProposalAllocator,
-    SearchMemory, TaskRelation, TeamValueAllocator, exact,
+    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, PointingAllocator,
+    PointingRules, ProposalAllocator, SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
 use sortie_core::options::{
     Affordance, Milestone, OptionPolicy, OptionRules, PictureShape, PlanNetworks, Pursuit,
@@ -25,6 +25,8 @@ const TEAM_VALUE: &[u8] = include_plan!("../../../tests/golden/plans/team-value-
 
 const POLICY: &[u8] = include_plan!("../../../tests/golden/plans/policy-2.0.plan");
 const PROPOSALS: &[u8] = include_plan!("../../../tests/golden/plans/proposals-2.0.plan");
+const ENCODER: &[u8] = include_plan!("../../../tests/golden/plans/pointing-encoder-2.3.plan");
+const DECODER: &[u8] = include_plan!("../../../tests/golden/plans/pointing-decoder-2.3.plan");
 
 const CONTROLLER: &[u8] = include_plan!("../../../models/crafting-iron/agent-controller.plan");
 const META: &[u8] = include_plan!("../../../models/crafting-iron/agent-meta.plan");
@@ -163,6 +165,7 @@ fn allocations_never_touch_the_heap() {
         present: EntityMask::first(5),
         entity_task: &[0, 0, 0, 1, 2],
         open_tasks: 0b11,
+        available: &[],
     };
     let count = decisions() / 100;
     let mut made = 0;
@@ -266,6 +269,7 @@ fn proposals_never_touch_the_heap() {
         present: EntityMask::first(5),
         entity_task: &[1, 0, 4, 1, 2],
         open_tasks: 0b111,
+        available: &[],
     };
     let count = decisions() / 100;
     let mut made = 0;
@@ -275,6 +279,38 @@ fn proposals_never_touch_the_heap() {
             state.open_tasks = 1 + number as u32 % 7;
             let plan = Plan::load(PROPOSALS).expect("a golden plan");
             let allocator = ProposalAllocator::new(plan, &mut arena.0, 1 + number % 32, 1);
+            let mut allocator = allocator.expect("an arena that fits");
+            made += usize::from(allocator.allocate(&state, &mut allocation).is_ok());
+        }
+    });
+    assert_eq!((calls, made), (0, count));
+}
+
+#[test]
+fn pointing_never_touches_the_heap() {
+    let rows: Vec<f32> = (0..60).map(|number| (number % 5) as f32 / 4.0 - 0.5).collect();
+    let mut arena = Aligned([0; arena_bytes(ENCODER) + arena_bytes(DECODER)]);
+    let plans = || [ENCODER, DECODER].map(|plan| Plan::load(plan).expect("a golden plan"));
+    let [encoder, decoder] = plans();
+    let mut memory = vec![0.0; PointingAllocator::memory_floats([&encoder, &decoder])];
+    let rules = PointingRules { exclusive: 0b011, first_action: 1 };
+    let mut state = AllocationState {
+        agents: 2,
+        tasks: 3,
+        rows: &rows,
+        stride: 12,
+        present: EntityMask::first(5),
+        entity_task: &[1, 0, 4, 1, 2],
+        open_tasks: 0b111,
+        available: &[1; 8],
+    };
+    let count = decisions() / 100;
+    let mut made = 0;
+    let calls = heap_calls(|| {
+        let mut allocation = [0; 2];
+        for number in 0..count {
+            state.open_tasks = 1 + number as u32 % 7;
+            let allocator = PointingAllocator::new(plans(), rules, &mut arena.0, &mut memory);
             let mut allocator = allocator.expect("an arena that fits");
             made += usize::from(allocator.allocate(&state, &mut allocation).is_ok());
         }

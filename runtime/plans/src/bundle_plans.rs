@@ -2,15 +2,18 @@
 
 use std::path::PathBuf;
 
-use sortie_bundle::{ALLOCATOR_PLAN, AgentGraph, Bundle, GOLDEN, POLICY_ROLES, Recording, sha256};
+use sortie_bundle::{
+    ALLOCATOR_PLAN, AgentGraph, Bundle, GOLDEN, POINTING_PLANS, POLICY_ROLES, Recording, sha256,
+};
 use sortie_core::limits;
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 
 use crate::cache::{PlanKey, keep, kept};
 use crate::error::CompileError;
+use crate::pointing::{PointingMemory, pointing_policies};
 use crate::policy::{PolicyOptions, roles_of};
 use crate::policy_plan::CompiledPolicy;
-use crate::proof::{AgentPlans, prove_agents, prove_allocator, prove_options};
+use crate::proof::{AgentPlans, prove_agents, prove_allocator, prove_options, prove_pointing};
 use crate::report::{CompileOptions, Compiled, ProposalFiles, VERSION};
 use crate::team_policy::TeamSizes;
 
@@ -128,6 +131,21 @@ impl<C: Compiler> BundlePlans<C> {
         self.find(&Wanted::proposals(bundle, &files.joined(), profile)).map(Some)
     }
 
+    /// The allocator of a bundle that points, if it has one.
+    ///
+    /// # Errors
+    /// As [`Self::agents`], with golden allocations.
+    pub fn pointing(&self, bundle: &Bundle) -> Result<Option<PointingMemory>, CompileError> {
+        let Some(wanted) = Wanted::pointing(bundle) else { return Ok(None) };
+        let (_, rules) = bundle.pointing_graphs().ok_or(PlanError::WrongNetwork)?;
+        let [encoder, decoder] = wanted.map(|wanted| self.find(&wanted));
+        let mut memory = PointingMemory::new([encoder?, decoder?], rules)?;
+        if self.proves {
+            prove_pointing(&mut memory.bind()?, bundle)?;
+        }
+        Ok(Some(memory))
+    }
+
     /// Compiles the plans that a bundle ships, by the names of their parts.
     ///
     /// # Errors
@@ -142,7 +160,9 @@ impl<C: Compiler> BundlePlans<C> {
             self.checked(&wanted, &plan)?;
             Ok((wanted.part, plan.as_slice().to_vec()))
         };
-        agents.into_iter().chain(Wanted::allocator(bundle)).chain(proposals).map(ship).collect()
+        let pointing = Wanted::pointing(bundle).into_iter().flatten();
+        let allocators = Wanted::allocator(bundle).into_iter().chain(proposals).chain(pointing);
+        agents.into_iter().chain(allocators).map(ship).collect()
     }
 
     /// Compiles the one network that all agents of a bundle decide by. Of profile int8 it is rounded for `examples`. The
@@ -278,6 +298,18 @@ impl<'a> Wanted<'a> {
         let (part, network) = (ALLOCATOR_PLAN.to_owned(), Network::Proposals);
         let n_max = bundle.manifest().limits.n_max.into();
         Self { bundle, part, network, onnx, profile, n_max, policy: None, graph: None }
+    }
+
+    fn pointing(bundle: &'a Bundle) -> Option<[Self; 2]> {
+        let ([encoder, decoder], _) = bundle.pointing_graphs()?;
+        let wanted = |part: &str, onnx, policy| {
+            let (part, policy) = (part.to_owned(), Some(policy));
+            let (network, profile) = (Network::Policy, Profile::Exact);
+            Self { bundle, part, network, onnx, profile, n_max: 1, policy, graph: None }
+        };
+        let [of_encoder, of_decoder] = POINTING_PLANS;
+        let [encodes, decodes] = pointing_policies();
+        Some([wanted(of_encoder, encoder, encodes), wanted(of_decoder, decoder, decodes)])
     }
 
     fn key(&self) -> PlanKey<'_> {

@@ -5,7 +5,7 @@ use sortie_core::allocate::{
     EXACT_AGENTS, LastAllocation, SearchMemory, TaskRelation, TeamValueAllocator, TeamValueNetwork,
     exact,
 };
-use sortie_core::{AllocateError, AllocationState, Allocator, Policy};
+use sortie_core::{AllocateError, AllocationState, Allocator, Policy, UNASSIGNED};
 
 use crate::comparison::{
     Comparison, MOST_DISTANCE, TOLERANCE, TrueNumber, cannot_run, relative_error,
@@ -97,6 +97,19 @@ pub fn compare_with_golden_allocations(
         }
     }
     Ok(comparison)
+}
+
+/// Compares the allocations of an allocator that points with the recorded ones.
+pub fn compare_pointing(allocator: &mut dyn Allocator, golden: &Golden) -> Comparison {
+    let mut comparison = Comparison::new(GOLDEN_FAMILY);
+    for case in &golden.allocations {
+        let mut allocation = vec![UNASSIGNED; case.state.agents];
+        match allocator.allocate(&case.state.view(), &mut allocation) {
+            Ok(()) => comparison.add_error(0.0, allocation == case.allocation),
+            Err(_) => comparison.refusals_differ += 1,
+        }
+    }
+    comparison
 }
 
 fn allocate(

@@ -20,6 +20,7 @@ mod network;
 mod observations;
 mod onnx_file;
 mod options;
+mod pointing;
 mod policy;
 mod policy_plan;
 mod process;
@@ -48,8 +49,8 @@ pub use families::{
     team_query_families,
 };
 pub use golden::{
-    GOLDEN_FAMILY, compare_with_golden, compare_with_golden_allocations, golden_inputs,
-    golden_teams,
+    GOLDEN_FAMILY, compare_pointing, compare_with_golden, compare_with_golden_allocations,
+    golden_inputs, golden_teams,
 };
 pub use judge::{True, compare, compare_with_truth, needs_truth};
 pub use network::{
@@ -66,6 +67,7 @@ pub use options::{
     GraphNetworks, compare_with_golden_episodes, option_arena, option_networks, option_policy,
     options_over_graphs,
 };
+pub use pointing::{PointingMemory, pointing_policies};
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
     PolicyOutput, PolicyState, ValueType, finite_score, roles_of,

@@ -268,6 +268,7 @@ impl Random {
             present,
             entity_task,
             open_tasks,
+            available: Vec::new(),
         };
         OwnedTeamQuery { state, task, team: bits(members), relation }
     }
@@ -299,6 +300,7 @@ impl Random {
             present: self.visible([0, 4, 4, 4, 3][index % 5], entities, 0),
             entity_task,
             open_tasks: open as u32,
+            available: Vec::new(),
         }
     }
 

@@ -3,11 +3,11 @@
 use sortie_bundle::{Bundle, GoldenCase, OptionsContract};
 use sortie_core::allocate::PlanTeamValue;
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
-use sortie_core::{PlanPolicy, Policy, PolicyByAgent, limits};
+use sortie_core::{Allocator, PlanPolicy, Policy, PolicyByAgent, limits};
 
 use crate::comparison::{Comparison, TOLERANCE};
 use crate::error::CompileError;
-use crate::golden::{compare_with_golden, compare_with_golden_allocations};
+use crate::golden::{compare_pointing, compare_with_golden, compare_with_golden_allocations};
 use crate::options::{self, compare_with_golden_episodes};
 
 /// Asks the plan of a bundle's graph about all golden observations of agents that decide by it.
@@ -56,6 +56,14 @@ pub(crate) fn prove_allocator(plan: Plan<'_>, bundle: &Bundle) -> Result<(), Com
     let mut network = PlanTeamValue::new(plan, arena.as_mut_slice(), &mut rows)?;
     let (golden, team_max) = (bundle.golden(), limits.team_max.into());
     judge(&compare_with_golden_allocations(&mut network, golden, team_max, &[])?, false)
+}
+
+/// Asks the plans of an allocator that points about all golden allocations.
+pub(crate) fn prove_pointing(
+    allocator: &mut dyn Allocator,
+    bundle: &Bundle,
+) -> Result<(), CompileError> {
+    judge(&compare_pointing(allocator, bundle.golden()), false)
 }
 
 /// Plans of few bits have to answer.

@@ -198,7 +198,7 @@ fn think(
             let subtasks = run.method.subtasks().ok_or_else(unmasked)?;
             // Who points allocates agents that follow a script: they have nothing to tell.
             let pointing = |learned: &LearnedAllocator<'_>| {
-                matches!(learned.networks, AllocatorNetworks::Pointing)
+                matches!(learned.networks, AllocatorNetworks::Pointing(_))
             };
             let tell_nothing = subtasks.allocator.as_ref().is_some_and(pointing);
             let captured = watch(&mut AllocatedTeam::new(subtasks.agents, allocator, interval))?;

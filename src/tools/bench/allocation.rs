@@ -15,6 +15,7 @@ use sortie_core::allocate::{TaskRelation, TeamQuery, Teams, exact};
 use sortie_core::{AllocateError, AllocationState, Allocator};
 use sortie_plans::{BatchedValues, OnnxRuntimeEngine};
 
+use super::pointing;
 use super::rounds::{alternate_long, engine, our_engine};
 use super::scenes::{self, some};
 use super::{Figures, Measuring, OURS, TRACT_VERSION, pin};
@@ -25,7 +26,7 @@ const SIZE: (usize, usize) = (5, 6);
 const CALLS_PER_TURN: usize = 4;
 
 /// Allocations of a bundle's learned allocator, five agents to six subtasks: the values of all teams, then
-/// the best allocation
+/// the best allocation; of an allocator that points, whole instances
 ///
 /// onnxruntime computes the same values with the exported graph, a call for each team, and with a graph that
 /// takes all teams in one call. In processor time: peers take longer than the system's time slices.
@@ -58,6 +59,9 @@ impl AllocationArguments {
 
 pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failure> {
     let bundle = open_bundle(&arguments.bundle)?;
+    if bundle.pointing_graphs().is_some() {
+        return pointing::measure(&bundle, &arguments.measuring);
+    }
     let name = arguments.bundle.display().to_string();
     let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name))?;
     let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
@@ -118,7 +122,12 @@ fn states(
     let mut policy = DeployedPolicy::open(bundle, Backend::Plan)?;
     let set = ScenarioSetName::parse_with_subtasks(&bundle.manifest().contract.environment.name)?;
     let mut policy = policy.policy()?;
-    let states = scenes::allocation_states(policy.as_mut(), allocator.allocator()?, &set, seed)?;
+    let states = scenes::allocation_states(
+        policy.as_mut(),
+        allocator.allocator()?,
+        (&set, bundle.contract().decision_interval),
+        (scenes::EPISODES, seed),
+    )?;
     let fits = |state: &OwnedAllocationState| (state.agents, state.open().count()) == SIZE;
     let states: Vec<_> = states.into_iter().filter(fits).collect();
     if states.is_empty() {

@@ -6,6 +6,7 @@ mod decision;
 pub(crate) mod faults;
 mod heads;
 mod losses;
+mod pointing;
 mod policies;
 mod proposals;
 mod rounds;

@@ -132,6 +132,7 @@ fn state(rows: &[f32]) -> AllocationState<'_> {
         present: EntityMask::first(ENTITIES),
         entity_task: &ENTITY_TASK,
         open_tasks: 0xff,
+        available: &[],
     }
 }
 

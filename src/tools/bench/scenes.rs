@@ -7,7 +7,7 @@ use sortie_cli::failure::Failure;
 use sortie_cli::files::{recording_of, recording_policy};
 use sortie_cli::output::tell;
 use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask, Observation, Policy};
-use sortie_envs::{DecisionPoints, Split};
+use sortie_envs::Split;
 use sortie_learn::play::{PolicyTeam, evaluate};
 use sortie_learn::subtasks::{
     Allocate, AllocatedTeam, DeployedAllocator, PolicyAgents, RuleAllocator,
@@ -20,7 +20,7 @@ pub(super) fn large_set(own: &ScenarioSetName) -> Option<ScenarioSetName> {
 }
 
 /// Episodes that are recorded: some thousand observations.
-const EPISODES: usize = 64;
+pub(super) const EPISODES: usize = 64;
 
 /// Plays episodes of a scenario set under the environment's first rule and records what every agent sees.
 pub(super) fn record(
@@ -34,7 +34,10 @@ pub(super) fn record(
     let mut recorder = recording_policy(policy, &mut recording);
     let usual = environment.spec().rules.first().map_or("", |rule| rule.name);
     let rule = Box::new(RuleAllocator(usual));
-    evaluate(&*environment, &mut allocated(&mut recorder, rule), EPISODES, seed)?;
+    let interval = bundle.contract().decision_interval;
+    let mut team = allocated(&mut recorder, rule, interval);
+    evaluate(&*environment, &mut team, EPISODES, seed)?;
+    drop(team);
     drop(recorder);
     Ok(recording)
 }
@@ -54,28 +57,29 @@ pub(super) fn record_without_subtasks(
     Ok(recording)
 }
 
-/// Plays episodes with an allocator and keeps the states that it was asked about.
+/// Plays so many episodes at once with an allocator and keeps the states that it was asked about.
 pub(super) fn allocation_states(
     policy: &mut dyn Policy,
     allocator: impl Allocator,
-    set: &ScenarioSetName,
-    seed: u64,
+    (set, interval): (&ScenarioSetName, u32),
+    (episodes, seed): (usize, u64),
 ) -> Result<Vec<OwnedAllocationState>, Failure> {
     let environment = set.open(Split::Test)?;
     let mut states = Vec::new();
     let diary = Box::new(Diary { allocator, states: &mut states });
     let allocator = Box::new(DeployedAllocator(diary));
-    evaluate(&*environment, &mut allocated(policy, allocator), EPISODES, seed)?;
+    evaluate(&*environment, &mut allocated(policy, allocator, interval), episodes, seed)?;
     Ok(states)
 }
 
-/// Agents by a policy, allocated as usual.
+/// Agents by a policy, allocated every so many ticks.
 fn allocated<'a>(
     policy: &'a mut dyn Policy,
     allocator: Box<dyn Allocate + 'a>,
+    interval: u32,
 ) -> AllocatedTeam<'a> {
     let agents = Box::new(PolicyAgents::new(policy));
-    AllocatedTeam::new(agents, allocator, DecisionPoints::ACTION_LENGTH)
+    AllocatedTeam::new(agents, allocator, interval)
 }
 
 /// An allocator that keeps what it is asked.
@@ -98,6 +102,7 @@ impl<A: Allocator> Allocator for Diary<'_, A> {
             present: state.present,
             entity_task: state.entity_task.to_vec(),
             open_tasks: state.open_tasks,
+            available: state.available.to_vec(),
         });
         self.allocator.allocate(state, allocation)
     }

@@ -8,7 +8,7 @@ use sortie_cli::tools::engines;
 use sortie_core::plan::Profile;
 use sortie_plans::{
     Comparison, CompileError, GraphEngine, NetworkFiles, NetworkInput, OnnxRuntimeEngine, Rows,
-    True, TrueNumber, compare_with_golden, compare_with_golden_allocations,
+    True, TrueNumber, compare_pointing, compare_with_golden, compare_with_golden_allocations,
     compare_with_golden_episodes, golden_inputs, golden_teams,
 };
 
@@ -57,6 +57,11 @@ pub(super) fn judged(
         let allocations = compare_with_golden_allocations(network, golden, team_max, &values);
         let name = format!("allocator {engine} against golden");
         found.push(named(name, allocations.map_err(&failed)?));
+    }
+    if let Some(mut memory) = unproved().pointing(bundle).map_err(&failed)? {
+        let mut allocator = memory.bind().map_err(CompileError::from).map_err(&failed)?;
+        let allocations = compare_pointing(&mut allocator, golden);
+        found.push(named("allocator plan against golden allocations".to_owned(), allocations));
     }
     Ok(found)
 }

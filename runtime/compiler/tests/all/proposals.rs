@@ -78,6 +78,7 @@ fn full() -> OwnedAllocationState {
         present: EntityMask::first(6),
         entity_task: vec![0, 0b10, 0b100, 1, 0b10, 0b100],
         open_tasks: 0b111,
+        available: Vec::new(),
     }
 }
 

@@ -450,6 +450,7 @@ mod tests {
             present,
             entity_task: &[0, 0, 0, 0b01, 0b10],
             open_tasks: 0b11,
+            available: &[],
         };
         let mut memory = [0.0; 6];
         let mut allocate = |state: &AllocationState<'_>, team_max| {

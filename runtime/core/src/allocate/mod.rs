@@ -1,5 +1,5 @@
 //! Who works on which subtask: the search of the team-value allocator, [`proposals`] of a policy that a critic chooses
-//! among, and allocation by [`cost`].
+//! among, networks that are [`pointing`] at subtasks, and allocation by [`cost`].
 //!
 //! For the search an allocation is valued as the sum over the open subtasks of `f(subtask, its team)`, teams without
 //! agents included: what happens if nobody comes is worth knowing. [`exact`] finds the best of all
@@ -15,11 +15,13 @@ pub mod ascent;
 pub mod cost;
 pub mod exact;
 mod plan_value;
+pub mod pointing;
 pub mod proposals;
 pub mod team_value;
 
 pub use cost::{CostAllocator, CostMethod, CostModel};
 pub use plan_value::PlanTeamValue;
+pub use pointing::{PointingAllocator, PointingRules};
 pub use proposals::ProposalAllocator;
 pub use team_value::{
     EXACT_AGENTS, LastAllocation, SearchMemory, TaskRelation, TeamQuery, TeamValueAllocator,

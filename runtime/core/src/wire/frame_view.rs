@@ -275,6 +275,7 @@ impl<'a> FrameView<'a> {
             present: self.present.without(&EntityMask::from_words(&[self.head.absent])),
             entity_task: self.entity_task,
             open_tasks: self.head.open_tasks,
+            available: if self.owner.is_none() { self.available } else { &[] },
         }
     }
 }

@@ -114,6 +114,7 @@ impl Case {
             present: self.present,
             entity_task: &self.entity_task,
             open_tasks: self.open_tasks,
+            available: &[],
         }
     }
 }

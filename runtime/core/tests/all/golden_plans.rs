@@ -161,6 +161,7 @@ fn proposals() -> String {
             present,
             entity_task: &[0, 1, 4, 1, 2],
             open_tasks: numbers.next() as u32 % 7 + 1,
+            available: &[],
         };
         let mut answers = [String::new(), String::new()];
         for (build, answer) in [Build::widest(), Build::PORTABLE].into_iter().zip(&mut answers) {

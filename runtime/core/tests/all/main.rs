@@ -6,6 +6,7 @@ mod elementary;
 mod fleet;
 mod golden_plans;
 mod plan_format;
+mod pointing;
 mod refused_plans;
 mod rewritten_frames;
 mod roles;

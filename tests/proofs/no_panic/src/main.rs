@@ -12,8 +12,8 @@ mod links;
 use core::hint::black_box;
 
 use sortie_core::allocate::{
-    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, ProposalAllocator,
-    SearchMemory, TaskRelation, TeamValueAllocator, exact,
+    CostAllocator, CostMethod, CostModel, LastAllocation, PlanTeamValue, PointingAllocator,
+    PointingRules, ProposalAllocator, SearchMemory, TaskRelation, TeamValueAllocator, exact,
 };
 use sortie_core::options::{
     Affordance, MILESTONES, Milestone, OptionPolicy, OptionRules, PictureShape, PlanNetworks,
@@ -36,6 +36,8 @@ const CONTROLLER: &[u8] = include_plan!("../../../../models/crafting-iron/agent-
 const META: &[u8] = include_plan!("../../../../models/crafting-iron/agent-meta.plan");
 const AFFORDANCE: &[u8] = include_plan!("../../../../models/crafting-iron/agent-affordance.plan");
 const PROPOSALS: &[u8] = include_plan!("../../../golden/plans/proposals-2.0.plan");
+const ENCODER: &[u8] = include_plan!("../../../golden/plans/pointing-encoder-2.3.plan");
+const DECODER: &[u8] = include_plan!("../../../golden/plans/pointing-decoder-2.3.plan");
 
 /// Whether all gave what it should.
 fn everything() -> bool {
@@ -49,6 +51,7 @@ fn everything() -> bool {
         && decide::<{ arena_bytes(INT8) }>(INT8, int8) == Some(true)
         && allocate() == Some(true)
         && propose() == Some(true)
+        && point() == Some(true)
         && respond() == Some(true)
         && run_options() == Some(true)
         && read_messages() == Some(true)
@@ -126,6 +129,7 @@ fn allocate() -> Option<bool> {
         present: EntityMask::from_words(&[0b11_101]),
         entity_task: &[0, 0, 0, 1, 2],
         open_tasks: 0b11,
+        available: &[],
     });
     let mut all = true;
     for exact_agents in [8, 0] {
@@ -182,6 +186,28 @@ fn propose() -> Option<bool> {
         present: EntityMask::from_words(&[0b11_101]),
         entity_task: &[0, 0, 0, 1, 2],
         open_tasks: 0b11,
+        available: &[],
+    });
+    Some(places_both(&mut allocator, &state))
+}
+
+/// Both agents are pointed somewhere.
+fn point() -> Option<bool> {
+    let plans = [Plan::load(black_box(ENCODER)).ok()?, Plan::load(black_box(DECODER)).ok()?];
+    let mut arena = Aligned([0; arena_bytes(ENCODER) + arena_bytes(DECODER)]);
+    let mut memory = [0.0; 2600];
+    let rules = black_box(PointingRules { exclusive: 0b01, first_action: 0 });
+    let (arena, memory) = (black_box(&mut arena.0), black_box(&mut memory));
+    let mut allocator = PointingAllocator::new(plans, rules, arena, memory).ok()?;
+    let state = black_box(AllocationState {
+        agents: 3,
+        tasks: 2,
+        rows: &[0.5; 60],
+        stride: 12,
+        present: EntityMask::from_words(&[0b11_101]),
+        entity_task: &[0, 0, 0, 1, 2],
+        open_tasks: 0b11,
+        available: &[1; 6],
     });
     Some(places_both(&mut allocator, &state))
 }

@@ -84,6 +84,7 @@ fn allocate(
         present: EntityMask::first(5),
         entity_task: &[0, 0, 0, 1, 2],
         open_tasks: 0b11,
+        available: &[],
     };
     let mut allocations = 0;
     let mut allocation = [0; 3];

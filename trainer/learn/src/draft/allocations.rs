@@ -2,21 +2,21 @@
 
 use std::cell::RefCell;
 
-use sortie_bundle::{GoldenAllocation, GoldenValue};
+use sortie_bundle::{GoldenAllocation, GoldenValue, OwnedAllocationState};
 use sortie_envs::{EntitySet, Environment, Random, SparseRows};
 
 use super::recorder::{EPISODES, ROUNDS};
 use crate::error::LearnError;
 use crate::play::evaluate;
-use crate::subtasks::{Allocate, AllocatorNetworks, Subtasks, allocation_state};
+use crate::subtasks::{Allocate, AllocatorNetworks, Subtasks, allocation_state_after};
 
 /// Golden allocations of a bundle.
 const CASES: usize = 48;
 /// One of so many allocations becomes golden, so that they come from many episodes.
 const STRIDE: usize = 23;
 
-/// Plays under the learned allocator and keeps some of its allocations; none where it does not value single teams, whose
-/// values are what engines are compared by.
+/// Plays under the learned allocator and keeps some of its allocations; none where it proposes: what it draws is another
+/// number's.
 pub(super) fn golden_allocations(
     mut subtasks: Subtasks<'_>,
     environment: &dyn Environment,
@@ -24,11 +24,15 @@ pub(super) fn golden_allocations(
 ) -> Result<Vec<GoldenAllocation>, LearnError> {
     let cases = RefCell::default();
     let Some(learned) = subtasks.allocator.take() else { return Ok(cases.take()) };
-    if !matches!(learned.networks, AllocatorNetworks::TeamValue(_)) {
+    if matches!(learned.networks, AllocatorNetworks::Proposals(_)) {
         return Ok(cases.take());
     }
-    let recorder =
-        AllocationRecorder { allocator: learned.allocate, allocations: 0, cases: &cases };
+    let recorder = AllocationRecorder {
+        allocator: learned.allocate,
+        points: matches!(learned.networks, AllocatorNetworks::Pointing(_)),
+        allocations: 0,
+        cases: &cases,
+    };
     let mut team = subtasks.under(Box::new(recorder));
     for seed in (0..ROUNDS).map(|round| seed.wrapping_add(round)) {
         evaluate(environment, &mut team, EPISODES, seed)?;
@@ -43,6 +47,7 @@ pub(super) fn golden_allocations(
 /// Allocates, and keeps every so many-th allocation.
 struct AllocationRecorder<'a> {
     allocator: Box<dyn Allocate + 'a>,
+    points: bool,
     allocations: usize,
     cases: &'a RefCell<Vec<GoldenAllocation>>,
 }
@@ -55,10 +60,17 @@ impl Allocate for AllocationRecorder<'_> {
         random: &mut Random,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
+        let before = allocation.to_vec();
         self.allocator.allocate(environment, state, random, allocation)?;
         self.allocations += 1;
         if self.allocations % STRIDE == 1 && self.cases.borrow().len() < CASES {
-            let case = self.case(environment, state, allocation);
+            let mut seen = allocation_state_after(environment, state, &before);
+            if !self.points {
+                // Teams are worth the same whatever was in force, and whatever their agents can do.
+                seen.available.clear();
+                seen.entity_task[..seen.agents].fill(0);
+            }
+            let case = self.case((environment, state), seen, allocation);
             self.cases.borrow_mut().push(case);
         }
         Ok(())
@@ -69,11 +81,10 @@ impl AllocationRecorder<'_> {
     /// The allocation with what it is worth at each open subtask to have its team there, nobody, or everybody.
     fn case(
         &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
+        (environment, state): (&dyn Environment, &[u8]),
+        seen: OwnedAllocationState,
         allocation: &[u8],
     ) -> GoldenAllocation {
-        let seen = allocation_state(environment, state);
         let allocation = allocation[..seen.agents].to_vec();
         let relations = environment.spec().relations;
         let (mut relation, mut values) = (Vec::new(), Vec::new());

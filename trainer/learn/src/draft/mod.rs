@@ -11,11 +11,12 @@ use sortie_bundle::files::{MOST_BYTES, read_file};
 use sortie_bundle::{
     AGENT, ALLOCATOR, AgentGraph, CARD, CONTRACT_ABI, CURVE, CURVE_DATA, ContractV1, Draft,
     Environment as Described, FallbackAllocation, Golden, GoldenCase, GoldenEpisode, Limits,
-    Network, OPTION_GRAPHS, OPTIONS, POLICY, POLICY_ROLES, PROPOSAL_PARTS, PROPOSALS, PolicyRoles,
-    SubtaskConditioning, TEAM_VALUE, TRAINING,
+    Network, OPTION_GRAPHS, OPTIONS, POINTING, POINTING_PARTS, POLICY, POLICY_ROLES,
+    PROPOSAL_PARTS, PROPOSALS, PointingContract, PolicyRoles, SubtaskConditioning, TEAM_VALUE,
+    TRAINING,
 };
 use sortie_core::Policy;
-use sortie_envs::{Environment, Shape, Spec};
+use sortie_envs::{Environment, Shape, Spec, Split};
 
 use self::allocations::golden_allocations;
 use self::recorder::recorded_episode;
@@ -26,6 +27,7 @@ use crate::export::{
 };
 use crate::method::Method;
 use crate::play::{PolicyTeam, evaluate};
+use crate::random::{Purpose, generator};
 use crate::run::{CurvePoint, RunDescription};
 use crate::subtasks::{
     AllocatedTeam, AllocatorNetworks, LearnedAllocator, PolicyAgents, RuleAllocator,
@@ -73,7 +75,10 @@ pub fn draft_method(
     let (mut limits, allocator) =
         (limits(sizes), subtasks.as_ref().and_then(|it| it.allocator.as_ref()));
     if let Some(allocator) = allocator {
-        agents.add_allocator(allocator, spec, contract.hash()).map_err(diverged)?;
+        agents.add_allocator(allocator, (spec, limits), contract.hash()).map_err(diverged)?;
+        if matches!(allocator.networks, AllocatorNetworks::Pointing(_)) {
+            agents.network.pointing = Some(pointing(run.environment));
+        }
         let team_max = allocator.team_max.and_then(|most| most.try_into().ok());
         limits.team_max = limits.team_max.min(team_max.unwrap_or(u16::MAX));
     }
@@ -93,6 +98,20 @@ pub fn draft_method(
         contract,
         parts,
     })
+}
+
+/// What an allocator that points can give in an environment.
+fn pointing(environment: &dyn Environment) -> PointingContract {
+    let mut world = environment.open(1, Split::Train);
+    world.reset(0, &mut generator(0, Purpose::Evaluation, 0));
+    let (mut state, mut offers) = (Vec::new(), Vec::new());
+    world.save(0, &mut state);
+    let exclusive = world.offers(&state, &mut offers);
+    let shape = world.spec().shape;
+    PointingContract {
+        exclusive: (0..32).filter(|task| exclusive >> task & 1 == 1).collect(),
+        first_action: (shape.actions - shape.tasks) as u16,
+    }
 }
 
 /// What the method's own passes answer in greedy episodes.
@@ -145,7 +164,7 @@ impl AgentParts {
     fn add_allocator(
         &mut self,
         allocator: &LearnedAllocator<'_>,
-        spec: &Spec,
+        (spec, limits): (&Spec, Limits),
         contract: u64,
     ) -> Result<(), ExportError> {
         let kind = match &allocator.networks {
@@ -160,7 +179,13 @@ impl AgentParts {
                 self.parts.extend(names.into_iter().zip(write(contract)?));
                 PROPOSALS
             }
-            AllocatorNetworks::Pointing => return Err(ExportError::EvaluatedOnly),
+            AllocatorNetworks::Pointing(write) => {
+                let Limits { team_max, t_max, .. } = limits;
+                let names = POINTING_PARTS.map(str::to_owned);
+                let graphs = write([team_max.into(), t_max.into()], contract)?;
+                self.parts.extend(names.into_iter().zip(graphs));
+                POINTING
+            }
         };
         self.network.allocator = Some(kind.to_owned());
         Ok(())

@@ -126,9 +126,6 @@ pub enum ExportError {
         /// Columns that the network takes.
         got: usize,
     },
-    /// Its allocator has no form in which it is deployed.
-    #[error("allocators that point at subtasks are evaluated only")]
-    EvaluatedOnly,
     /// The heads do not divide the width.
     #[error("{heads} heads do not divide the width {width}")]
     Heads {

@@ -140,7 +140,7 @@ impl Graph {
 }
 
 /// What every graph says of itself: what it is, and the contract that it is for; then its sizes.
-pub(super) fn metadata<const SIZES: usize>(
+pub fn metadata<const SIZES: usize>(
     graph: &str,
     contract: u64,
     sizes: [(&'static str, usize); SIZES],

@@ -2,7 +2,9 @@
 
 use sortie_bundle::OwnedAllocationState;
 use sortie_core::{Allocator, EntityMask};
-use sortie_envs::{EntitySet, Environment, Observation, Random, Spec, UNASSIGNED, members};
+use sortie_envs::{
+    ActionSet, EntitySet, Environment, Observation, Random, Spec, UNASSIGNED, members,
+};
 
 use super::Allocate;
 use crate::error::LearnError;
@@ -68,15 +70,25 @@ impl Allocate for DeployedAllocator<'_> {
         _: &mut Random,
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
-        let mut state = allocation_state(environment, state);
-        // What a policy proposes depends on what was in force.
-        for (tasks, last) in state.entity_task.iter_mut().zip(&allocation[..state.agents]) {
-            *tasks = 1_u32.checked_shl((*last).into()).unwrap_or(0);
-        }
+        // What is proposed may depend on what was in force.
+        let state = allocation_state_after(environment, state, allocation);
         allocation.fill(UNASSIGNED);
         let team = &mut allocation[..state.agents];
         self.0.allocate(&state.view(), team).map_err(|error| LearnError::Team(error.to_string()))
     }
+}
+
+/// All that an allocator sees of a state in which an allocation was in force.
+pub fn allocation_state_after(
+    environment: &dyn Environment,
+    state: &[u8],
+    allocation: &[u8],
+) -> OwnedAllocationState {
+    let mut state = allocation_state(environment, state);
+    for (tasks, last) in state.entity_task.iter_mut().zip(&allocation[..state.agents]) {
+        *tasks = 1_u32.checked_shl((*last).into()).unwrap_or(0);
+    }
+    state
 }
 
 /// All that an allocator sees of a state; agents come without their last allocation.
@@ -86,6 +98,9 @@ pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAll
     environment.observe(state, 0, EntitySet::MAX, &mut seen);
     let mut rows = Vec::new();
     seen.rows.write_all(features, &mut rows);
+    let actions = environment.spec().shape.actions;
+    let codes =
+        |set: &ActionSet| (0..actions).map(|action| (set >> action & 1) as u16).collect::<Vec<_>>();
     let mut present = EntityMask::first(seen.rows.len());
     members(seen.absent.into()).for_each(|agent| present.remove(agent));
     OwnedAllocationState {
@@ -96,6 +111,7 @@ pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAll
         present,
         entity_task: members(seen.present).map(|entity| seen.entity_task[entity]).collect(),
         open_tasks: seen.open_tasks,
+        available: seen.available[..seen.agents()].iter().flat_map(codes).collect(),
     }
 }
 

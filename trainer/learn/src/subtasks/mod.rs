@@ -15,7 +15,9 @@ use crate::error::LearnError;
 use crate::export::{AttentionNetwork, ExportError};
 
 pub use agents::{MaskedViews, PolicyAgents, ScriptedAgents};
-pub use allocators::{DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state};
+pub use allocators::{
+    DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state, allocation_state_after,
+};
 pub use team::AllocatedTeam;
 
 /// Allocations that a policy draws, of which a critic takes the best (dissertation section 7.4).
@@ -168,12 +170,15 @@ pub struct LearnedAllocator<'a> {
 /// Writes the graphs of an allocator for the contract of this hash, in the order of their parts in a bundle.
 pub type WriteGraphs<'a> = dyn Fn(u64) -> Result<[Vec<u8>; 3], ExportError> + 'a;
 
+/// Writes encoder and decoder of an allocator that points, for so many agents and subtasks and the contract of this hash.
+pub type WritePointing<'a> = dyn Fn([usize; 2], u64) -> Result<[Vec<u8>; 2], ExportError> + 'a;
+
 /// What an allocator decides by.
 pub enum AllocatorNetworks<'a> {
     /// It values single teams at single subtasks, and the best allocation is searched.
     TeamValue(Box<AttentionNetwork<'a>>),
     /// It proposes allocations, and a critic takes the best: trunk, step and critic.
     Proposals(Box<WriteGraphs<'a>>),
-    /// It points at one subtask for each agent in turn; such an allocator is not deployed yet.
-    Pointing,
+    /// It points at one subtask for each agent in turn: encoder and decoder.
+    Pointing(Box<WritePointing<'a>>),
 }

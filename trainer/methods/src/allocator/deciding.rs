@@ -1,14 +1,12 @@
 //! One agent after the other points at a subtask, in any number of episodes that have the same subtasks.
 
+use sortie_core::allocate::pointing::Round;
 use sortie_envs::{EntitySet, Environment, Observation, Random, UNASSIGNED, members};
 use sortie_nn::layers::softmax;
 use sortie_nn::tape::Tape;
 
 use super::network::{Decisions, Network};
 use crate::actor_critic::groups::drawn;
-
-/// What one more subtask adds to sums, so that they are about 1.
-const SUM_SCALE: f32 = 0.2;
 
 /// The subtasks of an instance, which stay as they are for its whole episode.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -46,16 +44,6 @@ impl Subtasks {
         self.tasks.iter().position(|known| *known == task).unwrap_or(self.tasks.len())
     }
 
-    /// Adds the sum of the rows of some tasks: how much there is to do, which means do not tell.
-    fn add_sum(&self, tasks: u32, contexts: &mut Vec<f32>) {
-        let (first, columns) = (contexts.len(), self.rows.len() / self.len());
-        contexts.resize(first + columns, 0.0);
-        for place in self.places(tasks) {
-            let sums = contexts[first..].iter_mut().zip(&self.rows[place * columns..]);
-            sums.for_each(|(sum, value)| *sum += SUM_SCALE * value);
-        }
-    }
-
     /// Tasks by their places here.
     fn places(&self, tasks: u32) -> impl Iterator<Item = usize> + '_ {
         let place = move |(place, task): (usize, &u8)| (tasks >> task & 1 == 1).then_some(place);
@@ -73,46 +61,30 @@ struct Team {
     /// Subtasks for one agent alone.
     exclusive: u32,
     open: u32,
-    /// Those of them that somebody was given.
-    taken: u32,
+    before: Vec<u8>,
     allocation: Vec<u8>,
 }
 
 impl Team {
-    fn of(environment: &dyn Environment, state: &[u8], seen: &Observation) -> Self {
+    fn of(environment: &dyn Environment, scene: &Asked<'_>, seen: &Observation) -> Self {
         let columns = environment.spec().shape.features;
         let mut offers = Vec::new();
-        let exclusive = environment.offers(state, &mut offers);
+        let exclusive = environment.offers(scene.state, &mut offers);
         let mut rows = vec![0.0; columns * offers.len()];
         for agent in members(seen.acting().into()) {
             let row = &mut rows[agent * columns..][..columns];
             seen.rows.write_dense(seen.row_of(agent), row);
         }
         let allocation = vec![UNASSIGNED; offers.len()];
-        Self { rows, offers, exclusive, open: seen.open_tasks, taken: 0, allocation }
+        let (open, before) = (seen.open_tasks, scene.before.to_vec());
+        Self { rows, offers, exclusive, open, before, allocation }
     }
 
-    fn row(&self, agent: usize) -> &[f32] {
+    fn round(&self) -> Round<'_> {
         let columns = self.rows.len() / self.offers.len();
-        &self.rows[agent * columns..][..columns]
-    }
-
-    /// What an agent can still be given. Of agents that are alike the first ones are given what one alone can have: whoever
-    /// comes after one that was not leaves it, which loses no allocation but the same with names exchanged.
-    fn options(&self, agent: usize) -> u32 {
-        let options = self.offers[agent] & !self.taken;
-        let passed = |twin: &usize| {
-            let task = u32::from(self.allocation[*twin]);
-            task < u32::BITS && self.exclusive >> task & 1 == 0
-        };
-        let has_twin = (0..agent).filter(passed).any(|twin| self.row(twin) == self.row(agent));
-        let shared = options & !self.exclusive;
-        if has_twin && shared != 0 { shared } else { options }
-    }
-
-    fn give(&mut self, agent: usize, task: u8) {
-        self.allocation[agent] = task;
-        self.taken |= 1 << task & self.exclusive;
+        let Self { rows, offers, exclusive, open, before, allocation } = self;
+        let (exclusive, open) = (*exclusive, *open);
+        Round { rows, stride: columns, columns, offers, exclusive, open, before, allocation }
     }
 
     /// Describes a decision about an agent that has these options.
@@ -122,53 +94,51 @@ impl Team {
         subtasks: &Subtasks,
         decisions: &mut Decisions,
     ) {
-        let columns = self.row(agent).len();
-        let acts = |agent: &usize| self.offers[*agent] != 0;
-        let [before, after] = [0..agent, agent + 1..self.offers.len()]
-            .map(|agents| agents.filter(acts).collect::<Vec<_>>());
-        decisions.contexts.extend(self.row(agent));
-        self.add_mean(&before, &mut decisions.contexts);
-        self.add_mean(&after, &mut decisions.contexts);
-        decisions.contexts.push(after.len() as f32 / self.offers.len() as f32);
-        let left = self.open & !self.taken;
-        subtasks.add_sum(left, &mut decisions.contexts);
+        let (round, fixed) = (self.round(), subtasks.rows.len() / subtasks.len());
+        let (columns, left) = (round.columns, round.left());
+        let first = decisions.contexts.len();
+        decisions.contexts.resize(first + Round::context(columns, fixed), 0.0);
+        let rows = subtasks.places(left).map(|place| &subtasks.rows[place * fixed..][..fixed]);
+        round.describe(agent, rows, &mut decisions.contexts[first..]);
+        let place = |agent| subtasks.place(round.subtask_of(agent)) as u32;
+        decisions.own.push(place(agent));
         subtasks.places(left).for_each(|place| decisions.seen.push(place));
-        for other in before.into_iter().chain(after) {
-            let row = decisions.agents.len() / columns;
+        for other in round.others(agent) {
+            let (row, first) = (decisions.given.len(), decisions.agents.len());
             decisions.seen.push(subtasks.len() + row);
-            decisions.agents.extend(self.row(other));
-            decisions.given.push(subtasks.place(self.allocation[other]) as u32);
+            decisions.agents.resize(first + columns + 1, 0.0);
+            round.describe_other(agent, other, &mut decisions.agents[first..]);
+            decisions.given.push(place(other));
         }
         decisions.seen.end_list();
         let offered = subtasks.places(options).fold(0, |set, place| set | 1 << place);
         decisions.offered.push(offered);
     }
-
-    /// Adds the mean row of some agents, zeros where there are none.
-    fn add_mean(&self, agents: &[usize], contexts: &mut Vec<f32>) {
-        let (first, share) = (contexts.len(), 1.0 / agents.len().max(1) as f32);
-        contexts.resize(first + self.row(0).len(), 0.0);
-        for agent in agents {
-            let means = contexts[first..].iter_mut();
-            means.zip(self.row(*agent)).for_each(|(mean, value)| *mean += share * value);
-        }
-    }
 }
 
-/// States of episodes with the same subtasks, each with the number of its episode.
+/// A state in which agents are to be allocated.
+#[derive(Clone, Copy)]
+pub(super) struct Asked<'a> {
+    pub(super) episode: usize,
+    pub(super) state: &'a [u8],
+    /// `[A]`: the allocation that was in force.
+    pub(super) before: &'a [u8],
+}
+
+/// States of episodes with the same subtasks.
 #[derive(Clone, Copy)]
 pub(super) struct Seen<'a> {
     pub(super) environment: &'a dyn Environment,
     /// The symmetry under which they are seen.
     pub(super) turn: usize,
-    pub(super) states: &'a [(usize, &'a [u8])],
+    pub(super) states: &'a [Asked<'a>],
 }
 
 /// Episodes with the same subtasks at work: what is known of these, and the decisions that were made.
 #[derive(Debug, Default)]
 pub(super) struct Group {
     pub(super) subtasks: Subtasks,
-    /// `[subtasks, 5 width]`
+    /// `[subtasks, 6 width]`
     tables: Vec<f32>,
     /// Decisions of all episodes.
     pub(super) made: Decisions,
@@ -207,26 +177,26 @@ impl Group {
         let mut seen = Observation::default();
         let mut subtasks = Subtasks::default();
         let mut teams: Vec<Team> = Vec::new();
-        for (_, state) in states {
-            environment.observe(state, turn, EntitySet::MAX, &mut seen);
+        for asked in states {
+            environment.observe(asked.state, turn, EntitySet::MAX, &mut seen);
             if teams.is_empty() {
                 subtasks = Subtasks::of(&seen, spec.fixed);
             }
-            teams.push(Team::of(environment, state, &seen));
+            teams.push(Team::of(environment, asked, &seen));
         }
         self.encode((network, weights), subtasks);
         let Self { tables, made, tape, now, .. } = self;
         for agent in 0..spec.shape.agents {
             now.clear();
             let mut deciding = Vec::new();
-            for (team, (episode, _)) in teams.iter_mut().zip(states) {
-                let options = team.options(agent);
+            for (team, asked) in teams.iter_mut().zip(states) {
+                let options = team.round().options(agent);
                 match options.count_ones() {
                     0 => {}
-                    1 => team.give(agent, options.trailing_zeros() as u8),
+                    1 => team.allocation[agent] = options.trailing_zeros() as u8,
                     _ => {
                         team.describe((agent, options), &self.subtasks, now);
-                        now.episodes.push(*episode);
+                        now.episodes.push(asked.episode);
                         deciding.push(team);
                     }
                 }
@@ -241,9 +211,9 @@ impl Group {
             for ((scores, offered), team) in scores.zip(&now.offered).zip(deciding) {
                 let place = choose(scores, *offered);
                 now.chosen.push(place);
-                team.give(agent, self.subtasks.tasks[place]);
+                team.allocation[agent] = self.subtasks.tasks[place];
             }
-            made.append(now, self.subtasks.len(), spec.shape.features);
+            made.append(now, self.subtasks.len());
         }
         teams.into_iter().map(|team| team.allocation).collect()
     }

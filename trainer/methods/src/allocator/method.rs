@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use sortie_envs::{Environment, Random, Spec, Split};
+use sortie_envs::{Environment, Random, Spec, Split, UNASSIGNED};
 use sortie_learn::configuration::require;
+use sortie_learn::export::{DeployedAgents, DeployedNetworks, Words};
 use sortie_learn::learner::{Loss, Rules};
 use sortie_learn::networks::best;
 use sortie_learn::random::{Purpose, generator};
@@ -17,7 +18,9 @@ use sortie_nn::lanes::in_lanes;
 use sortie_nn::tape::Pass;
 
 use super::Config;
-use super::deciding::{Group, Seen, chances, draw};
+use super::agents::HeadingAgents;
+use super::deciding::{Asked, Group, Seen, chances, draw};
+use super::export::graphs;
 use super::network::Network;
 
 /// What episodes of a group differ by that earn the same but for rounding.
@@ -27,6 +30,7 @@ const LEAST_SPREAD: f32 = 1e-4;
 #[derive(Debug)]
 pub(super) struct Allocator {
     config: Config,
+    agents: HeadingAgents,
     pub(super) network: Network,
     pub(super) learner: Learner<()>,
     pub(super) groups: Vec<Group>,
@@ -34,6 +38,8 @@ pub(super) struct Allocator {
     random: Vec<Random>,
     /// What the first of a group begins with, so that all of them begin alike.
     start: Random,
+    /// `[instances, A]`: the allocations in force.
+    in_force: Vec<u8>,
     /// What every episode earned.
     pub(super) returns: Vec<f32>,
     over: usize,
@@ -63,9 +69,11 @@ impl Allocator {
             groups: (0..groups).map(|_| Group::default()).collect(),
             random: (0..groups).map(random).collect(),
             start: generator(seed, Purpose::Proposals, u64::MAX),
+            in_force: vec![UNASSIGNED; instances * spec.shape.agents],
             returns: vec![0.0; instances],
             over: 0,
             threads,
+            agents: HeadingAgents::new(spec),
             network,
             config,
         })
@@ -137,10 +145,16 @@ impl<'a> Greedy<'a> {
         Self { network, groups: vec![Group::default()], planned: Planned::new() }
     }
 
-    fn allocated(&mut self, environment: &dyn Environment, state: &[u8], turn: usize) -> Vec<u8> {
+    fn allocated(
+        &mut self,
+        environment: &dyn Environment,
+        (state, before): (&[u8], &[u8]),
+        turn: usize,
+    ) -> Vec<u8> {
         let group = &mut self.groups[turn];
         group.made.clear();
-        let seen = Seen { environment, turn, states: &[(0, state)] };
+        let asked = Asked { episode: 0, state, before };
+        let seen = Seen { environment, turn, states: &[asked] };
         let given =
             group.allocate(self.network, seen, |scores, offered| best(scores, offered.into()));
         given.into_iter().flatten().collect()
@@ -150,17 +164,18 @@ impl<'a> Greedy<'a> {
     fn played(
         &mut self,
         world: &mut dyn Environment,
-        state: &[u8],
+        (state, before): (&[u8], &[u8]),
         turn: usize,
     ) -> Result<(f64, Planned), LearnError> {
         let mut random = sortie_envs::random::generator(0);
         let mut actions = vec![0; world.spec().shape.agents];
-        let (mut given, mut earned, mut state) = (Planned::new(), 0.0, state.to_vec());
+        let (mut given, mut earned) = (Planned::new(), 0.0);
+        let (mut state, mut allocation) = (state.to_vec(), before.to_vec());
         world.load(0, &state).map_err(LearnError::environment)?;
         loop {
-            let allocation = self.allocated(world, &state, turn);
+            allocation = self.allocated(world, (&state, &allocation), turn);
             world.scripted(&state, &allocation, &mut random, &mut actions);
-            given.insert(std::mem::take(&mut state), allocation);
+            given.insert(std::mem::take(&mut state), allocation.clone());
             let step = world.step(0, &actions, &mut random)?;
             earned += step.reward;
             if step.done() {
@@ -180,12 +195,13 @@ impl Allocate for Greedy<'_> {
         allocation: &mut [u8],
     ) -> Result<(), LearnError> {
         let given = if self.groups.len() == 1 {
-            self.allocated(environment, state, 0)
+            self.allocated(environment, (state, allocation), 0)
         } else if let Some(planned) = self.planned.remove(state) {
             planned
         } else {
             let mut world = environment.open(1, Split::Test);
-            let plays = (0..self.groups.len()).map(|turn| self.played(&mut *world, state, turn));
+            let now = (state, &*allocation);
+            let plays = (0..self.groups.len()).map(|turn| self.played(&mut *world, now, turn));
             let plays = plays.collect::<Result<Vec<_>, _>>()?;
             let best = plays.into_iter().max_by(|one, other| one.0.total_cmp(&other.0));
             self.planned.extend(best.map(|(_, given)| given).unwrap_or_default());
@@ -226,19 +242,29 @@ impl Method for Allocator {
         let network = (&self.network, &*self.learner.online.values);
         let team = environment.spec().shape.agents;
         let groups = self.groups.iter_mut().zip(&mut self.random);
+        let groups = groups.zip(self.in_force.chunks_exact_mut(samples * team));
         let mut lanes: Vec<_> = groups.map(|group| (group, Vec::new())).collect();
         for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(team)) {
             lanes[scene.instance / samples].1.push((scene, actions));
         }
         lanes.retain(|(_, scenes)| !scenes.is_empty());
-        in_lanes(self.threads, &mut lanes, |_, ((group, random), scenes)| {
-            let states = scenes.iter().map(|(scene, _)| (scene.instance % samples, scene.state));
-            let states: Vec<(usize, &[u8])> = states.collect();
-            let seen = Seen { environment, turn: 0, states: &states };
+        in_lanes(self.threads, &mut lanes, |_, (((group, random), in_force), scenes)| {
+            let own = |instance: usize| instance % samples * team..(instance % samples + 1) * team;
+            for (scene, _) in scenes.iter().filter(|(scene, _)| scene.begins) {
+                in_force[own(scene.instance)].fill(UNASSIGNED);
+            }
+            let asked = scenes.iter().map(|(scene, _)| Asked {
+                episode: scene.instance % samples,
+                state: scene.state,
+                before: &in_force[own(scene.instance)],
+            });
+            let asked: Vec<Asked<'_>> = asked.collect();
+            let seen = Seen { environment, turn: 0, states: &asked };
             let given =
                 group.allocate(network, seen, |scores, offered| draw(scores, offered, random));
             for ((scene, actions), allocation) in scenes.iter_mut().zip(given) {
                 environment.scripted(scene.state, &allocation, random, actions);
+                in_force[own(scene.instance)].copy_from_slice(&allocation);
             }
         });
         Ok(())
@@ -289,7 +315,9 @@ impl Method for Allocator {
     fn subtasks(&self) -> Option<Subtasks<'_>> {
         let allocator = LearnedAllocator {
             allocate: Box::new(self.greedy()),
-            networks: AllocatorNetworks::Pointing,
+            networks: AllocatorNetworks::Pointing(Box::new(|most, contract| {
+                graphs(&self.network, &self.learner.average, most, contract)
+            })),
             team_max: None,
         };
         Some(Subtasks {
@@ -298,6 +326,21 @@ impl Method for Allocator {
             interval: 1,
             allocator: Some(allocator),
         })
+    }
+
+    fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
+        let networks = DeployedNetworks::Attention { network: self.agents.network(), memory: None };
+        Ok(DeployedAgents { networks, policy: Box::new(self.agents.clone()) })
+    }
+
+    fn words(&self) -> Words {
+        Words {
+            agents: "Every agent heads for what it was given: its network is written down, not learned.".to_owned(),
+            allocator: "An allocator points at a subtask for one agent after the other. It knows subtasks by what stays \
+                as it is of them, which it encodes once an episode.\n\n"
+                .to_owned(),
+            ..Words::default()
+        }
     }
 
     fn allocation(&self) -> &str {

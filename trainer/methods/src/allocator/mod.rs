@@ -5,7 +5,9 @@
 //! each is as good as it is better than the others (REINFORCE, Williams 1992, with what Kwon et al. 2020 compare an
 //! episode with).
 
+mod agents;
 mod deciding;
+mod export;
 mod method;
 mod network;
 #[cfg(test)]
@@ -73,6 +75,9 @@ fn fast() -> Setup {
 fn misfit(spec: &Spec) -> Option<&'static str> {
     if spec.view != View::Entities || spec.rules.is_empty() {
         return Some("it allocates agents to subtasks, and there are none here");
+    }
+    if spec.targets.is_empty() {
+        return Some("its agents head for their subtasks, and no action is aimed at anything here");
     }
     (spec.fixed == 0)
         .then_some("it knows subtasks by what stays as it is in an episode, and nothing does here")

@@ -1,6 +1,7 @@
 //! The network: subtasks are encoded once an episode, then each agent in turn points at one of them (the attention model of
 //! Kool et al. 2019, with the other agents and what they were given in its sight).
 
+use sortie_core::allocate::pointing::Round;
 use sortie_learn::LearnError;
 use sortie_learn::configuration::require;
 use sortie_nn::layers::VisibleLists;
@@ -11,33 +12,33 @@ use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 use super::NetworkConfig;
 
 /// Scores lie between this and its negative, so that no choice is ever out of the question (Bello et al. 2017).
-const BOUND: f32 = 10.0;
+pub(super) const BOUND: f32 = 10.0;
 /// Columns of what is known of a subtask, by widths.
-const TABLES: usize = 5;
+pub(super) const TABLES: usize = 6;
 
 /// Where the layers stand among the parameters.
 #[derive(Clone, Debug)]
 pub(super) struct Network {
-    width: usize,
+    pub(super) width: usize,
     /// Columns of a subtask's row and of an agent's.
     pub(super) columns: [usize; 2],
-    embedding: Linear,
+    pub(super) embedding: Linear,
     /// Keys and values of each encoder's layer, and the layer.
-    layers: Vec<(Linear, Layer)>,
-    tables: Linear,
-    context: Linear,
-    agents: Linear,
-    decoder: Layer,
-    pointer: Linear,
+    pub(super) layers: Vec<(Linear, Layer)>,
+    pub(super) tables: Linear,
+    pub(super) context: Linear,
+    pub(super) agents: Linear,
+    pub(super) decoder: Layer,
+    pub(super) pointer: Linear,
 }
 
 /// Attention and a layer behind it, each added to what comes in.
 #[derive(Clone, Debug)]
-struct Layer {
-    query: Linear,
-    attended: Linear,
-    hidden: Linear,
-    out: Linear,
+pub(super) struct Layer {
+    pub(super) query: Linear,
+    pub(super) attended: Linear,
+    pub(super) hidden: Linear,
+    pub(super) out: Linear,
 }
 
 impl Layer {
@@ -93,12 +94,13 @@ fn encoder_layer(
 /// Decisions about one agent each, all on the same subtasks: what was seen, and what was chosen.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Decisions {
-    /// `[D, C]`: the agent's row, means of those that chose before it and of those that choose after it, which share these are,
-    /// and the sum of what is left.
+    /// `[D, C]`: [descriptions](Round::describe) of the agents.
     pub(super) contexts: Vec<f32>,
-    /// The rows of the other agents, of all decisions.
+    /// The places of what the agents had last; as many as there are subtasks where that is nothing.
+    pub(super) own: Vec<u32>,
+    /// [Descriptions](Round::describe_other) of the other agents, of all decisions.
     pub(super) agents: Vec<f32>,
-    /// The places of what they were given in this round; as many as there are subtasks where that is nothing yet.
+    /// The places of what they had last.
     pub(super) given: Vec<u32>,
     /// Subtasks that are left, and, counted behind all subtasks, the other agents.
     pub(super) seen: VisibleLists,
@@ -114,6 +116,7 @@ impl Decisions {
     pub(super) fn clear(&mut self) {
         self.seen.clear();
         self.contexts.clear();
+        self.own.clear();
         self.agents.clear();
         self.given.clear();
         self.offered.clear();
@@ -125,15 +128,16 @@ impl Decisions {
         self.offered.len()
     }
 
-    /// Adds others on so many subtasks, whose agents have so many columns.
-    pub(super) fn append(&mut self, other: &Self, subtasks: usize, columns: usize) {
-        let agents = self.agents.len() / columns;
+    /// Adds others on so many subtasks.
+    pub(super) fn append(&mut self, other: &Self, subtasks: usize) {
+        let agents = self.given.len();
         for decision in 0..other.len() {
             let shifted = |row| if row < subtasks { row } else { row + agents };
             other.seen.list(decision).for_each(|row| self.seen.push(shifted(row)));
             self.seen.end_list();
         }
         self.contexts.extend(&other.contexts);
+        self.own.extend(&other.own);
         self.agents.extend(&other.agents);
         self.given.extend(&other.given);
         self.offered.extend(&other.offered);
@@ -159,16 +163,16 @@ impl Network {
             embedding: first_layer(p, "embedding", [subtask, width], random),
             layers: (0..layers).map(|number| encoder_layer(p, number, width, random)).collect(),
             tables: p.linear("tables", width, TABLES * width, random),
-            context: first_layer(p, "context", [3 * agent + 1 + subtask, width], random),
-            agents: first_layer(p, "agents", [agent, 2 * width], random),
+            context: first_layer(p, "context", [Round::context(agent, subtask), width], random),
+            agents: first_layer(p, "agents", [agent + 1, 2 * width], random),
             decoder: Layer::new(p, "decoder", width, random),
             pointer: p.projection("pointer", width, width, random),
         };
         Ok((network, parameters))
     }
 
-    /// `[subtasks, 5 width]`: what decoders look up about subtasks: keys and values of those that are left, what is added to
-    /// those of agents that were given them, and keys to point at.
+    /// `[subtasks, 6 width]`: what decoders look up about subtasks: keys and values of those that are left, what is added to
+    /// those of agents that were given them, keys to point at, and what is added to agents themselves.
     pub(super) fn encode(&self, pass: &mut Pass<'_>, rows: &[f32]) -> Var {
         let rows = pass.input(self.columns[0], rows);
         let subtasks = pass.size(rows)[0];
@@ -189,26 +193,27 @@ impl Network {
 
     /// Keys and values of other agents: what they are, and what they were given.
     fn others(&self, pass: &mut Pass<'_>, given: Var, decisions: &Decisions) -> Var {
-        let agents = pass.input(self.columns[1], &decisions.agents);
+        let agents = pass.input(self.columns[1] + 1, &decisions.agents);
         let agents = pass.linear(agents, self.agents);
-        let nothing = pass.input(2 * self.width, &vec![0.0; 2 * self.width]);
-        let given = pass.stack(&[given, nothing]);
-        let given = pass.gather(given, &decisions.given);
+        let given = looked_up(pass, given, &decisions.given);
         pass.add(agents, given)
     }
 
     /// `[decisions, subtasks]`: the scores of all subtasks in each decision.
     pub(super) fn scores(&self, pass: &mut Pass<'_>, tables: Var, decisions: &Decisions) -> Var {
         let width = self.width;
-        let parts = [0..2 * width, 2 * width..4 * width, 4 * width..TABLES * width];
-        let [left, given, keys] = parts.map(|columns| pass.columns(tables, columns));
+        let parts =
+            [0..2 * width, 2 * width..4 * width, 4 * width..5 * width, 5 * width..6 * width];
+        let [left, given, keys, own] = parts.map(|columns| pass.columns(tables, columns));
         let mut seen = vec![left];
         if !decisions.agents.is_empty() {
             seen.push(self.others(pass, given, decisions));
         }
         let keys_values = pass.stack(&seen);
         let context = pass.input(self.context.shape.input, &decisions.contexts);
+        let own = looked_up(pass, own, &decisions.own);
         let x = pass.linear(context, self.context);
+        let x = pass.add(x, own);
         let x = self.decoder.pass(pass, x, keys_values, &decisions.seen);
         let x = pass.normalise_rows(x);
         let query = pass.linear(x, self.pointer);
@@ -217,4 +222,12 @@ impl Network {
         let scores = pass.tanh(scores);
         pass.scale(scores, BOUND)
     }
+}
+
+/// Rows by their places, zeros for what is behind all of them.
+fn looked_up(pass: &mut Pass<'_>, rows: Var, places: &[u32]) -> Var {
+    let columns = pass.size(rows)[1];
+    let nothing = pass.input(columns, &vec![0.0; columns]);
+    let rows = pass.stack(&[rows, nothing]);
+    pass.gather(rows, places)
 }

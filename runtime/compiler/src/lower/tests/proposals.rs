@@ -162,6 +162,7 @@ fn golden_states(file: &SafeTensors<'_>) -> Vec<OwnedAllocationState> {
             present: EntityMask::from_words(&[bits(part("in/entity_mask", ENTITIES)).into()]),
             entity_task: last.chain(of_task.map(bits)).collect(),
             open_tasks: bits(part("in/task_mask", TASKS)),
+            available: Vec::new(),
         }
     };
     (0..rows.len() / ENTITIES / FEATURES).map(state).collect()

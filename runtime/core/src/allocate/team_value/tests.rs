@@ -98,6 +98,7 @@ impl Case {
             present: self.present,
             entity_task: &self.entity_task,
             open_tasks: self.open_tasks,
+            available: &[],
         }
     }
 
@@ -294,6 +295,7 @@ fn a_query_tells_rows_apart() {
         present,
         entity_task: &entity_task,
         open_tasks: 0b110,
+        available: &[],
     };
     let query = TeamQuery { state: &state, task: 1, team: 0b01, relation: &[] };
     assert_eq!(query.own_row(), Some(3));

@@ -1,0 +1,91 @@
+//! Agents that head for what they were given, as they are deployed: a network that is written down, not learned.
+
+use std::ops::Range;
+
+use sortie_core::choose::masked_argmax;
+use sortie_core::{DecideError, Decision, Observation, Policy};
+use sortie_envs::Spec;
+use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix, PointingHead};
+
+/// Width of its embedding: all entities are alike.
+const WIDTH: usize = 4;
+
+/// An agent that takes the action which is aimed at what it sees, and it sees its subtask alone; the first action where it sees
+/// nothing that it may head for.
+#[derive(Clone, Debug)]
+pub(super) struct HeadingAgents {
+    features: usize,
+    actions: usize,
+    /// The entities that the last actions are aimed at.
+    targets: Range<usize>,
+    zeros: Vec<f32>,
+    ones: [f32; WIDTH],
+}
+
+impl HeadingAgents {
+    pub(super) fn new(spec: &Spec) -> Self {
+        let (features, actions) = (spec.shape.features, spec.shape.actions);
+        let most = features.max(actions).max(3 * WIDTH);
+        let (targets, zeros) = (spec.targets.clone(), vec![0.0; WIDTH * most]);
+        Self { features, actions, targets, zeros, ones: [1.0; WIDTH] }
+    }
+
+    /// Every entity is embedded as ones, and the agent's vector is ones: what is seen is worth 1.
+    pub(super) fn network(&self) -> AttentionNetwork<'_> {
+        let count = self.targets.len();
+        let matrix =
+            |size: usize| Matrix { values: &self.zeros[..size], layout: Layout::OutputsFirst };
+        let zeros = |inputs: usize, outputs: usize| Layer {
+            weight: matrix(inputs * outputs),
+            bias: &self.zeros[..outputs],
+        };
+        let ones = |inputs: usize| Layer { weight: matrix(inputs * WIDTH), bias: &self.ones };
+        AttentionNetwork {
+            inputs: self.features,
+            width: WIDTH,
+            heads: 1,
+            base: WIDTH,
+            outputs: self.actions,
+            fc1: ones(self.features),
+            attention_in: matrix(3 * WIDTH * WIDTH),
+            attention_out: zeros(WIDTH, WIDTH),
+            skip: None,
+            fc2: None,
+            head: zeros(WIDTH, self.actions - count),
+            pointing: Some(PointingHead {
+                first_entity: self.targets.start,
+                count,
+                query: ones(WIDTH),
+                pairs: None,
+                scale: 1.0 / WIDTH as f32,
+            }),
+        }
+    }
+}
+
+impl Policy for HeadingAgents {
+    fn actions(&self) -> usize {
+        self.actions
+    }
+
+    fn utilities(
+        &mut self,
+        seen: &Observation<'_>,
+        utilities: &mut [f32],
+    ) -> Result<(), DecideError> {
+        let untargeted = self.actions - self.targets.len();
+        let (first, aimed) =
+            utilities.split_at_mut_checked(untargeted).ok_or(DecideError::BadLength)?;
+        first.fill(0.0);
+        for (utility, target) in aimed.iter_mut().zip(self.targets.clone()) {
+            *utility = f32::from(u8::from(seen.visible.contains(target)));
+        }
+        Ok(())
+    }
+
+    fn decide(&mut self, seen: &Observation<'_>) -> Result<Decision, DecideError> {
+        let mut utilities = vec![0.0; self.actions];
+        self.utilities(seen, &mut utilities)?;
+        masked_argmax(&utilities, seen.available)
+    }
+}
