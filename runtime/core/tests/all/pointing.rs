@@ -70,8 +70,9 @@ impl Case {
             rows: (0..entities * FEATURES).map(|_| numbers.float()).collect(),
             present,
             entity_task,
-            open_tasks: (numbers.word() as u32 | SHARED * (numbers.below(8) as u32).min(1))
-                & 0xFFFF,
+            // The subtask for all is open most of the time.
+            open_tasks: (numbers.word() as u32 & 0x7FFF)
+                | if numbers.below(8) > 0 { SHARED } else { 0 },
             available: (0..agents * (TASKS + 1)).map(|_| numbers.below(3) as u16).collect(),
         }
     }
