@@ -150,6 +150,7 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
                 engines.extend(networks::agents(arguments, &bundle, profile, &judges)?);
             }
             engines.extend(networks::allocators(arguments, &bundle, &judges)?);
+            engines.extend(team::pointing(arguments, &bundle, &judges)?);
         }
         if wanted(Peer::Golden) {
             spinner.set_message("comparing with golden answers");

@@ -9,12 +9,10 @@ use sortie_plans::{
     Answer, Comparison, CompileError, CompileOptions, Compiler, Family, GraphAnswers, NetworkFiles,
     NetworkInput, ObservationSizes, PlanFacts, ProposalFiles, Standard, TeamQuerySizes, True,
     TrueAnswers, compare, compare_with_truth, inspect_plan, needs_truth, observation_families,
-    plan_answers, pointing_policies, random_allocation_states, random_entities,
-    team_query_families,
+    plan_answers, random_allocation_states, random_entities, team_query_families,
 };
 
 use super::DOUBLE;
-use super::recorded::judged_plan;
 use super::{Compared, Judges, VerifyArguments, unproved, within};
 
 /// Multiply-adds of all inputs together, which the reference evaluator does nine times over in some seconds.
@@ -49,7 +47,7 @@ pub(super) fn agents(
     Ok(compared)
 }
 
-/// The plans by which a bundle's allocator values teams, proposes, or points.
+/// The plan by which a bundle's allocator values teams, or proposes.
 pub(super) fn allocators(
     arguments: &VerifyArguments,
     bundle: &Bundle,
@@ -63,20 +61,10 @@ pub(super) fn allocators(
         let files = NetworkFiles::One(onnx);
         compared.extend(judged(arguments, Judged { whose, files, plan, n_max }, judges)?);
     }
-    let proposes = unproved().proposals(bundle, Profile::Exact).map_err(&failed)?;
+    let proposes = unproved().proposals(bundle, Profile::Exact).map_err(failed)?;
     if let (Some([trunk, step, critic]), Some(plan)) = (bundle.proposal_graphs(), proposes) {
         let files = NetworkFiles::Proposals(ProposalFiles { trunk, step, critic });
         compared.extend(judged(arguments, Judged { whose, files, plan, n_max }, judges)?);
-    }
-    if let (Some((graphs, _)), Some(memory)) =
-        (bundle.pointing_graphs(), unproved().pointing(bundle).map_err(failed)?)
-    {
-        let networks = graphs.into_iter().zip(memory.plans()).zip(pointing_policies());
-        for (((onnx, plan), policy), name) in networks.zip(["encoder", "decoder"]) {
-            let found = judged_plan((arguments, judges), onnx, &policy, plan.as_slice())?;
-            let named = |it: Compared| Compared { name: format!("{name} {}", it.name), ..it };
-            compared.extend(found.into_iter().map(named));
-        }
     }
     Ok(compared)
 }

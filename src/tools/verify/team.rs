@@ -9,7 +9,7 @@ use sortie_core::{Observation, Policy};
 use sortie_plans::{
     AgentPlans, Annex, Answer, CompileError, Family, NetworkInput, ObservationSizes, PolicyFacts,
     PolicyOptions, Standard, TeamSizes, True, TrueFlatPolicy, TrueNumber, compare,
-    compare_with_truth, observation_families, roles_of,
+    compare_with_truth, observation_families, pointing_policies, roles_of,
 };
 
 use super::networks::{MOST_MULTIPLY_ADDS, known};
@@ -42,6 +42,26 @@ pub(super) fn judged(
             };
             compared.extend(found?.into_iter().map(named));
         }
+    }
+    Ok(compared)
+}
+
+/// The plans of an allocator that points before their judges, each by itself.
+pub(super) fn pointing(
+    arguments: &VerifyArguments,
+    bundle: &Bundle,
+    judges: &Judges,
+) -> Result<Vec<Compared>, Failure> {
+    let memory = unproved().pointing(bundle).map_err(within(bundle.folder()))?;
+    let mut compared = Vec::new();
+    let Some(((graphs, _), memory)) = bundle.pointing_graphs().zip(memory) else {
+        return Ok(compared);
+    };
+    let networks = graphs.into_iter().zip(memory.plans()).zip(pointing_policies());
+    for (((onnx, plan), policy), name) in networks.zip(["encoder", "decoder"]) {
+        let found = recorded::judged_plan((arguments, judges), onnx, &policy, plan.as_slice())?;
+        let named = |it: Compared| Compared { name: format!("{name} {}", it.name), ..it };
+        compared.extend(found.into_iter().map(named));
     }
     Ok(compared)
 }
