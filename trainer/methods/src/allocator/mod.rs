@@ -76,11 +76,13 @@ fn misfit(spec: &Spec) -> Option<&'static str> {
     if spec.view != View::Entities || spec.rules.is_empty() {
         return Some("it allocates agents to subtasks, and there are none here");
     }
-    if spec.targets.is_empty() {
-        return Some("its agents head for their subtasks, and no action is aimed at anything here");
+    if spec.fixed == 0 {
+        return Some(
+            "it knows subtasks by what stays as it is in an episode, and nothing does here",
+        );
     }
-    (spec.fixed == 0)
-        .then_some("it knows subtasks by what stays as it is in an episode, and nothing does here")
+    let aims = "its agents head for their subtasks, and no action is aimed at anything here";
+    spec.targets.is_empty().then_some(aims)
 }
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
