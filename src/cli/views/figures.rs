@@ -57,7 +57,11 @@ pub(crate) fn outcome(spec: &Spec, episode: &Episode) -> String {
         return format!("{what} {} of {all} in {} steps", value(reached), episode.steps);
     }
     let told = values.filter(|(metric, _)| metric.is_reported);
-    let told = told.filter_map(|(metric, value)| Some(format!("{} {}", metric.name, (*value)?)));
+    let told = told.filter_map(|(metric, value)| {
+        // Two decimals, as far as there are any.
+        let shown = (100.0 * (*value)?).round() / 100.0;
+        Some(format!("{} {shown}", metric.name))
+    });
     told.collect::<Vec<_>>().join(", ")
 }
 
