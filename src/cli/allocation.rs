@@ -184,6 +184,7 @@ mod tests {
             "matching",
             "nearest",
             "greedy",
+            "hungarian",
         ];
         assert_eq!(names, all);
         let rules: Vec<&str> =

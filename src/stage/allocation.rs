@@ -81,6 +81,7 @@ fn frame<'a>(state: &AllocationState<'a>) -> Frame<'a> {
         tasks: state.tasks,
         present: bits(&state.present),
         open_tasks: state.open_tasks,
+        available: state.available,
     }
 }
 

@@ -20,6 +20,8 @@ pub struct Frame<'a> {
     pub present: EntitySet,
     /// The subtasks that are not finished.
     pub open_tasks: u32,
+    /// Of every agent `[A, U]` its actions, 0 where one is not available; empty where nobody tells.
+    pub available: &'a [u16],
 }
 
 /// Reads states back from feature rows, as far as rules of allocation look at them.

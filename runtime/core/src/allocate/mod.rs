@@ -50,8 +50,7 @@ impl Teams {
 
     /// The open subtasks in rising order.
     fn tasks(&self) -> impl DoubleEndedIterator<Item = usize> + use<> {
-        let open = self.open_tasks;
-        (0..TASKS).filter(move |task| open >> task & 1 == 1)
+        members(self.open_tasks)
     }
 
     fn check(&self, agents_max: usize, allocation: &[u8]) -> Result<(), AllocateError> {
@@ -63,6 +62,11 @@ impl Teams {
             Ok(())
         }
     }
+}
+
+/// The members of a set of subtasks in rising order.
+fn members(tasks: u32) -> impl DoubleEndedIterator<Item = usize> + Clone {
+    (0..TASKS).filter(move |task| tasks >> task & 1 == 1)
 }
 
 /// What a team at a subtask is worth.

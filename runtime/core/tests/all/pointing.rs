@@ -113,35 +113,110 @@ fn allocated(allocator: &mut PointingAllocator<'_>, case: &Case) -> Vec<u8> {
     allocation
 }
 
-#[test]
-fn what_is_given_is_open_and_can_be_had_and_is_given_once() {
-    let (mut memory, mut given, mut decided) = (Memory::new(), 0, [0; TASKS]);
-    let mut allocator = memory.allocator();
-    for seed in 0..4_000 {
-        let case = Case::random(&mut Numbers(seed));
-        let allocation = allocated(&mut allocator, &case);
-        let mut taken = 0_u32;
-        for (agent, task) in allocation.iter().enumerate() {
-            if *task == UNASSIGNED {
-                let may = |task: &usize| {
-                    let bit = 1_u32 << task;
-                    let code = case.available[agent * (TASKS + 1) + 1 + task];
-                    case.open_tasks & bit != 0 && (bit == SHARED || code != 0 && taken & bit == 0)
-                };
-                let nothing = !case.present.contains(agent) || !(0..TASKS).any(|task| may(&task));
-                assert!(nothing, "{seed}: agent {agent} could have had something");
-                continue;
-            }
+/// What agents were given is open, they can have it, and one alone has it; who was given nothing could have had nothing.
+fn check(case: &Case, allocation: &[u8], label: &str) {
+    let mut taken = 0_u32;
+    for (agent, task) in allocation.iter().enumerate() {
+        let may = |task: usize| {
             let bit = 1_u32 << task;
-            assert!(case.present.contains(agent) && case.open_tasks & bit != 0, "{seed}");
-            let code = case.available[agent * (TASKS + 1) + 1 + usize::from(*task)];
-            assert!(bit == SHARED || code != 0 && taken & bit == 0, "{seed}: {allocation:?}");
-            taken |= bit;
-            given += 1;
-            decided[usize::from(*task)] += 1;
+            let code = case.available[agent * (TASKS + 1) + 1 + task];
+            case.present.contains(agent)
+                && case.open_tasks & bit != 0
+                && (bit == SHARED || code != 0 && taken & bit == 0)
+        };
+        if *task == UNASSIGNED {
+            assert!(!(0..TASKS).any(may), "{label}: agent {agent} could have had something");
+        } else {
+            assert!(may(usize::from(*task)), "{label}: {allocation:?}");
+            taken |= 1 << task;
         }
     }
-    assert!(given > 4_000 && decided.iter().all(|count| *count > 20), "{given} {decided:?}");
+}
+
+/// States that are tried; more of them: `SORTIE_STATES=1000000`.
+fn states() -> u64 {
+    std::env::var("SORTIE_STATES").map_or(4_000, |states| states.parse().unwrap())
+}
+
+#[test]
+fn what_is_given_is_open_and_can_be_had_and_is_given_once() {
+    let (mut memory, mut decided) = (Memory::new(), [0; TASKS]);
+    let mut allocator = memory.allocator();
+    for seed in 0..states() {
+        let case = Case::random(&mut Numbers(seed));
+        let allocation = allocated(&mut allocator, &case);
+        check(&case, &allocation, &format!("{seed}"));
+        let given = allocation.iter().filter(|task| **task != UNASSIGNED);
+        given.for_each(|task| decided[usize::from(*task)] += 1);
+    }
+    assert!(decided.iter().all(|count| *count > 20), "{decided:?}");
+}
+
+/// States that nobody would tell of in earnest.
+#[test]
+fn hostile_states_are_answered_or_refused_by_name() {
+    let mut memory = Memory::new();
+    let mut allocator = memory.allocator();
+    let (mut answered, mut refused) = (0, 0);
+    for seed in 0..states() {
+        let mut numbers = Numbers(seed);
+        let mut case = Case::random(&mut numbers);
+        let (agents, entities) = (case.agents, case.agents + TASKS);
+        let [entity, column] = [entities, FEATURES].map(|bound| numbers.below(bound));
+        let strange = [f32::NAN, f32::INFINITY, f32::MAX, 1e30, -1e30][numbers.below(5)];
+        let is_seen = case.present.contains(entity) && !strange.is_finite();
+        let expected = match seed % 10 {
+            // A number that is none, or far too large, in the row of somebody who is there or not.
+            0..3 => {
+                case.rows[entity * FEATURES + column] = strange;
+                is_seen.then_some(AllocateError::NonFinite)
+            }
+            // Vehicles without room, demands above all capacity: rows of one number.
+            3 => {
+                case.rows.fill([0.0, -1.0, 1e6][numbers.below(3)]);
+                None
+            }
+            4 => {
+                case.present = EntityMask::first(numbers.below(2) * agents);
+                None
+            }
+            5 => {
+                case.open_tasks = 0;
+                None
+            }
+            6 => {
+                case.entity_task.fill(u32::MAX);
+                None
+            }
+            7 => {
+                case.available.truncate(numbers.below(agents * (TASKS + 1)));
+                Some(AllocateError::BadLength)
+            }
+            8 => {
+                case.rows.truncate(numbers.below(entities * FEATURES));
+                Some(AllocateError::BadLength)
+            }
+            _ => {
+                case.open_tasks |= 1 << (TASKS + numbers.below(16));
+                Some(AllocateError::BadLength)
+            }
+        };
+        let mut allocation = vec![77; agents];
+        match allocator.allocate(&case.state(), &mut allocation) {
+            Ok(()) => {
+                assert_eq!(expected, None, "{seed}");
+                check(&case, &allocation, &format!("{seed}"));
+                answered += 1;
+            }
+            // What is finite and far too large may be so no more inside the network.
+            Err(AllocateError::NonFinite) if seed % 10 < 3 && strange.is_finite() => refused += 1,
+            Err(error) => {
+                assert_eq!(expected, Some(error), "{seed}");
+                refused += 1;
+            }
+        }
+    }
+    assert!(answered > states() / 4 && refused > states() / 4, "{answered} {refused}");
 }
 
 /// An allocator that has seen other subtasks before gives what a new one gives.

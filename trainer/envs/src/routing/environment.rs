@@ -11,10 +11,11 @@ use serde::Deserialize;
 
 use super::VERSION;
 use super::exact::optimum;
+use super::frames::reader;
 use super::instance::{CUSTOMERS, Instance};
 use super::observation::{FIXED, Layout, ROW_ENTRIES, TURNS, feature_names};
 use super::picture::picture;
-use super::rules::{RULES, allocate, follow};
+use super::rules::{RULES, Scene, follow};
 use super::tour::Tour;
 use crate::bytes::{LAYOUT, known};
 use crate::entry::{Choice, Entry, EnvironmentError};
@@ -32,7 +33,7 @@ pub const ENTRY: Entry = Entry {
     sets: || SETS.map(String::from).to_vec(),
     open: |choice| Ok(Box::new(open(choice)?)),
     rules: RULES,
-    reader: None,
+    reader: Some(reader),
     #[cfg(feature = "std")]
     recordings: None,
 };
@@ -329,14 +330,13 @@ impl Environment for Routing {
     fn offers(&self, state: &[u8], offers: &mut Vec<u32>) -> u32 {
         let (tour, layout) = (&known(self.read(state)), self.layout);
         let depot = 1 << layout.task_of(0);
-        let offer = |vehicle| (layout.available(tour, vehicle) >> 1) as u32 | depot;
         offers.clear();
-        offers.extend((0..layout.vehicles).map(offer));
+        offers.extend((0..layout.vehicles).map(|vehicle| layout.offers(tour, vehicle) | depot));
         depot - 1
     }
 
     fn allocate(&self, rule: usize, state: &[u8], _: &mut Random, allocation: &mut [u8]) {
-        allocate(rule, &known(self.read(state)), self.layout, allocation);
+        Scene::of(&known(self.read(state)), self.layout).allocate(rule, allocation);
     }
 
     fn scripted(

@@ -47,9 +47,7 @@ impl Instance {
 
     /// How far two places are apart.
     pub fn distance(&self, from: usize, to: usize) -> f64 {
-        let ([x, y], [to_x, to_y]) = (self.places[from], self.places[to]);
-        let (dx, dy) = (x - to_x, y - to_y);
-        libm::sqrt(dx * dx + dy * dy)
+        distance(self.places[from], self.places[to])
     }
 
     /// Whether anybody could ask for this.
@@ -62,6 +60,11 @@ impl Instance {
             && *at_depot == 0
             && demands.iter().all(|demand| (1..=self.capacity).contains(demand))
     }
+}
+
+pub(super) fn distance([x, y]: [f64; 2], [to_x, to_y]: [f64; 2]) -> f64 {
+    let (dx, dy) = (x - to_x, y - to_y);
+    libm::sqrt(dx * dx + dy * dy)
 }
 
 /// Whether the demands can be packed into so many loads.

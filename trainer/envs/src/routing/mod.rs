@@ -11,6 +11,7 @@
 
 mod environment;
 mod exact;
+mod frames;
 mod instance;
 mod observation;
 mod picture;

@@ -8,7 +8,7 @@ use super::tour::Tour;
 use crate::observation::{EntitySet, Observation, members};
 use crate::rows::SparseRows;
 
-const FEATURES: [&str; 12] = [
+pub(super) const FEATURES: [&str; 12] = [
     "vehicle",
     "customer",
     "depot",
@@ -22,7 +22,14 @@ const FEATURES: [&str; 12] = [
     "served",
     "demand that waits",
 ];
-/// Of which the first so many stay as they are: all that tells instances apart.
+/// Columns of what rows show.
+pub(super) const VEHICLE: usize = 0;
+pub(super) const CUSTOMER: usize = 1;
+pub(super) const DEPOT: usize = 2;
+/// Y follows.
+pub(super) const X: usize = 3;
+pub(super) const AT_DEPOT: usize = 9;
+/// So many columns, the first ones, stay as they are: all that tells instances apart.
 pub(super) const FIXED: usize = 7;
 /// Most of them that differ from zero in one row: a vehicle's.
 pub(super) const ROW_ENTRIES: usize = 8;
@@ -86,6 +93,11 @@ impl Layout {
             .fold(1, |open, place| open | 1 << self.action_to(place))
     }
 
+    /// The subtasks that a vehicle may head for, as bits.
+    pub(super) fn offers(self, tour: &Tour, vehicle: usize) -> u32 {
+        (self.available(tour, vehicle) >> 1) as u32
+    }
+
     pub(super) fn observe(
         self,
         tour: &Tour,
@@ -132,8 +144,8 @@ fn turned([x, y]: [f64; 2], turn: usize) -> [f64; 2] {
 fn write_where(tour: &Tour, (kind, place): (usize, usize), turn: usize, rows: &mut SparseRows) {
     let [x, y] = turned(tour.instance.places[place], turn);
     rows.push(kind, 1.0);
-    rows.push_unless_zero(3, x as f32);
-    rows.push_unless_zero(4, y as f32);
+    rows.push_unless_zero(X, x as f32);
+    rows.push_unless_zero(X + 1, y as f32);
     rows.push_unless_zero(5, tour.instance.distance(place, 0) as f32);
 }
 
@@ -146,15 +158,15 @@ fn write_waiting(tour: &Tour, rows: &mut SparseRows) {
 
 fn write_vehicle(tour: &Tour, number: usize, turn: usize, rows: &mut SparseRows) {
     let (vehicle, capacity) = (tour.vehicles[number], f32::from(tour.instance.capacity));
-    write_where(tour, (0, vehicle.at.into()), turn, rows);
+    write_where(tour, (VEHICLE, vehicle.at.into()), turn, rows);
     rows.push_unless_zero(7, f32::from(vehicle.load) / capacity);
     rows.push_unless_zero(8, f32::from(tour.room(number)) / capacity);
-    rows.push_unless_zero(9, f32::from(u8::from(vehicle.at == 0)));
+    rows.push_unless_zero(AT_DEPOT, f32::from(u8::from(vehicle.at == 0)));
     write_waiting(tour, rows);
 }
 
 fn write_place(tour: &Tour, place: usize, turn: usize, rows: &mut SparseRows) {
-    let kind = if place == 0 { 2 } else { 1 };
+    let kind = if place == 0 { DEPOT } else { CUSTOMER };
     write_where(tour, (kind, place), turn, rows);
     let demand = f32::from(tour.instance.demands[place]) / f32::from(tour.instance.capacity);
     rows.push_unless_zero(6, demand);

@@ -1,5 +1,10 @@
 //! Rules that say who goes where next, and what agents do that follow one.
 
+use alloc::vec::Vec;
+
+use sortie_core::allocate::{Teams, cost};
+
+use super::instance::distance;
 use super::observation::Layout;
 use super::tour::Tour;
 use crate::decisions::UNASSIGNED;
@@ -14,42 +19,114 @@ pub(super) const RULES: &[Rule] = &[
         name: "greedy",
         about: "every vehicle goes to the nearest customer that fits and nobody before it goes to, and home when none is left for it",
     },
+    Rule {
+        name: "hungarian",
+        about: "as many vehicles as can go to customers at once, by the shortest ways of all together, and home when none is left",
+    },
 ];
 
-/// Writes what each vehicle heads for.
-pub(super) fn allocate(rule: usize, tour: &Tour, layout: Layout, allocation: &mut [u8]) {
-    allocation.fill(UNASSIGNED);
-    let goals = &mut allocation[..layout.vehicles];
-    if rule == 0 { nearest(tour, layout, goals) } else { greedy(tour, layout, goals) }
+/// What rules look at: whoever there is, and where they may go.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Scene {
+    /// By their agents.
+    pub(super) vehicles: Vec<Standing>,
+    /// Customers that wait, by their subtasks, and where they are.
+    pub(super) waiting: Vec<(u8, [f64; 2])>,
+    /// The subtask of going home.
+    pub(super) depot: u8,
 }
 
-/// The nearest of the customers that a vehicle may go to, and nobody goes to by now.
-fn nearest_free(tour: &Tour, layout: Layout, vehicle: usize, goals: &[u8]) -> Option<usize> {
-    let is_free = |place: &usize| !goals.contains(&(layout.task_of(*place) as u8));
-    let may = |place: &usize| tour.may_go(vehicle, *place, layout.sequential);
-    let way = |place: &usize| tour.way(vehicle, *place);
-    tour.waiting()
-        .filter(|place| is_free(place) && may(place))
-        .min_by(|one, other| way(one).total_cmp(&way(other)))
+/// A vehicle that waits for what it is to do.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Standing {
+    pub(super) at: [f64; 2],
+    pub(super) is_out: bool,
+    /// Subtasks that it may head for, as bits; none of a vehicle that is not there.
+    pub(super) offers: u32,
 }
 
-fn nearest(tour: &Tour, layout: Layout, goals: &mut [u8]) {
-    // Whoever is outside goes on; at first the lowest leaves.
-    let is_out = |vehicle: &usize| tour.vehicles[*vehicle].at != 0;
-    let vehicle = (0..goals.len()).find(is_out).unwrap_or(0);
-    let place = nearest_free(tour, layout, vehicle, &[]).unwrap_or(0);
-    goals[vehicle] = layout.task_of(place) as u8;
-}
-
-fn greedy(tour: &Tour, layout: Layout, goals: &mut [u8]) {
-    for vehicle in 0..goals.len() {
-        let is_left = |place: usize| !goals.contains(&(layout.task_of(place) as u8));
-        let place = match nearest_free(tour, layout, vehicle, goals) {
-            Some(place) => place,
-            None if tour.waiting().any(is_left) && tour.vehicles[vehicle].at != 0 => 0,
-            None => continue,
+impl Scene {
+    pub(super) fn of(tour: &Tour, layout: Layout) -> Self {
+        let place = |place: usize| tour.instance.places[place];
+        let standing = |vehicle: usize| {
+            let at = usize::from(tour.vehicles[vehicle].at);
+            Standing { at: place(at), is_out: at != 0, offers: layout.offers(tour, vehicle) }
         };
-        goals[vehicle] = layout.task_of(place) as u8;
+        Self {
+            vehicles: (0..layout.vehicles).map(standing).collect(),
+            waiting: tour.waiting().map(|at| (layout.task_of(at) as u8, place(at))).collect(),
+            depot: layout.task_of(0) as u8,
+        }
+    }
+
+    /// Writes what each vehicle heads for.
+    pub(super) fn allocate(&self, rule: usize, allocation: &mut [u8]) {
+        allocation.fill(UNASSIGNED);
+        match rule {
+            0 => self.nearest(allocation),
+            1 => self.greedy(allocation),
+            _ => self.hungarian(allocation),
+        }
+    }
+
+    /// The nearest of the customers that a vehicle may go to, and nobody goes to by now.
+    fn nearest_free(&self, vehicle: Standing, goals: &[u8]) -> Option<u8> {
+        let free =
+            self.waiting.iter().filter(|(task, _)| vehicle.may(*task) && !goals.contains(task));
+        let way = |at: [f64; 2]| distance(vehicle.at, at);
+        free.min_by(|one, other| way(one.1).total_cmp(&way(other.1))).map(|(task, _)| *task)
+    }
+
+    fn nearest(&self, goals: &mut [u8]) {
+        // Whoever is outside goes on; at first the lowest leaves.
+        let find = |is_meant: fn(&Standing) -> bool| self.vehicles.iter().position(is_meant);
+        let goes_on = find(|vehicle| vehicle.is_out && vehicle.offers != 0);
+        if let Some(vehicle) = goes_on.or_else(|| find(|vehicle| vehicle.offers != 0)) {
+            let nearest = self.nearest_free(self.vehicles[vehicle], &[]);
+            goals[vehicle] = nearest.unwrap_or(self.depot);
+        }
+    }
+
+    fn greedy(&self, goals: &mut [u8]) {
+        for (vehicle, standing) in self.vehicles.iter().enumerate() {
+            match self.nearest_free(*standing, goals) {
+                Some(task) => goals[vehicle] = task,
+                None => self.send_home(vehicle, goals),
+            }
+        }
+    }
+
+    fn hungarian(&self, goals: &mut [u8]) {
+        let (agents, tasks) = (self.vehicles.len(), usize::from(self.depot) + 1);
+        let mut ways = alloc::vec![f32::INFINITY; agents * tasks];
+        for (vehicle, ways) in self.vehicles.iter().zip(ways.chunks_exact_mut(tasks)) {
+            for (task, at) in self.waiting.iter().filter(|(task, _)| vehicle.may(*task)) {
+                ways[usize::from(*task)] = distance(vehicle.at, *at) as f32;
+            }
+        }
+        let open_tasks = self.waiting.iter().fold(0, |open, (task, _)| open | 1 << task);
+        let teams = Teams { agents, open_tasks, team_max: 1 };
+        // It refuses more agents than there can be, and numbers that do not fit each other: then nobody leaves.
+        let _ = cost::hungarian(teams, tasks, &ways, &mut goals[..agents]);
+        for vehicle in 0..agents {
+            if goals[vehicle] == UNASSIGNED {
+                self.send_home(vehicle, goals);
+            }
+        }
+    }
+
+    /// Who is outside goes home while there are customers that nobody goes to: the last ones bring everybody home.
+    fn send_home(&self, vehicle: usize, goals: &mut [u8]) {
+        let is_left = self.waiting.iter().any(|(task, _)| !goals.contains(task));
+        if is_left && self.vehicles[vehicle].is_out && self.vehicles[vehicle].may(self.depot) {
+            goals[vehicle] = self.depot;
+        }
+    }
+}
+
+impl Standing {
+    fn may(self, task: u8) -> bool {
+        self.offers >> task & 1 == 1
     }
 }
 

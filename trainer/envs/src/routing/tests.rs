@@ -10,7 +10,10 @@ use super::*;
 use crate::decisions::UNASSIGNED;
 use crate::random::generator;
 use crate::registry::Setting;
-use crate::{EntitySet, Environment, Observation, Split, StateError, conformance, open};
+use crate::{
+    EntitySet, Environment, Frame, FrameError, Observation, Rule, Split, StateError, conformance,
+    open,
+};
 
 #[derive(Deserialize)]
 struct Recorded {
@@ -57,6 +60,20 @@ fn saved(routing: &dyn Environment) -> Vec<u8> {
     let mut state = Vec::new();
     routing.save(0, &mut state);
     state
+}
+
+/// What a message tells of a state: rows `[N, d]`, and which actions are available `[A, U]`.
+fn told(routing: &dyn Environment, state: &[u8]) -> (Vec<f32>, Vec<u16>, Observation) {
+    let (shape, mut seen) = (routing.spec().shape, Observation::default());
+    routing.observe(state, 0, EntitySet::MAX, &mut seen);
+    let mut rows = vec![0.0; shape.entities * shape.features];
+    for entity in crate::observation::members(seen.entities) {
+        let row = &mut rows[entity * shape.features..][..shape.features];
+        seen.rows.write_dense(seen.row_of(entity), row);
+    }
+    let codes = |set: &u64| (0..shape.actions).map(|action| (*set >> action & 1) as u16).collect();
+    let available: Vec<Vec<u16>> = seen.available.iter().map(codes).collect();
+    (rows, available.concat(), seen)
 }
 
 /// Plays by a rule to the end: how often vehicles were sent home, customers left.
@@ -175,6 +192,91 @@ fn all_sets_hold_to_the_laws() {
             }
         }
     }
+}
+
+#[test]
+fn rules_give_the_same_from_a_state_and_from_its_rows() {
+    let (mut reader, mut random) = (frames::reader(), generator(5));
+    for leaving in [TOGETHER, ONE_BY_ONE] {
+        for (rule, Rule { name, .. }) in rules::RULES.iter().enumerate() {
+            let mut routing = opened(&format!("5-15{leaving}"), &[]);
+            routing.reset(0, &mut random);
+            while !routing.episode(0).done {
+                let state = saved(&*routing);
+                let (rows, available, Observation { present, open_tasks, .. }) =
+                    told(&*routing, &state);
+                let frame = Frame {
+                    rows: &rows,
+                    stride: 12,
+                    agents: 4,
+                    tasks: 16,
+                    present,
+                    open_tasks,
+                    available: &available,
+                };
+                let (mut own, mut read) = ([0; 4], [0; 6]);
+                routing.allocate(rule, &state, &mut random, &mut own);
+                reader.read(&frame).unwrap();
+                reader.allocate(rule, &mut random, &mut read).unwrap();
+                assert_eq!(read[..4], own, "{name}");
+                assert_eq!(read[4..], [UNASSIGNED; 2]);
+                // A vehicle that nobody drives is sent nowhere, and the others have all customers.
+                reader.read(&Frame { present: present & !1, ..frame }).unwrap();
+                reader.allocate(rule, &mut random, &mut read).unwrap();
+                assert_eq!(read[0], UNASSIGNED);
+                let mut actions = [0; 4];
+                routing.scripted(&state, &own, &mut random, &mut actions);
+                routing.step(0, &actions, &mut random).unwrap();
+            }
+        }
+    }
+}
+
+#[test]
+fn frames_that_show_no_tour_are_refused() {
+    let mut routing = opened("5", &[]);
+    routing.reset(0, &mut generator(5));
+    let (rows, available, Observation { present, .. }) = told(&*routing, &saved(&*routing));
+    let frame = Frame {
+        rows: &rows,
+        stride: 12,
+        agents: 4,
+        tasks: 16,
+        present,
+        open_tasks: 1,
+        available: &available,
+    };
+    let mut reader = frames::reader();
+    let mut read = |frame: &Frame<'_>| reader.read(frame);
+    assert_eq!(read(&frame), Ok(()));
+    assert_eq!(read(&Frame { available: &[], ..frame }), Err(FrameError::BadLength));
+    assert_eq!(read(&Frame { rows: &rows[..30], ..frame }), Err(FrameError::BadLength));
+    assert_eq!(read(&Frame { stride: 11, ..frame }), Err(FrameError::BadLength));
+    for (entity, column, value, refusal) in [
+        (0, 3, f32::NAN, FrameError::NonFinite { entity: 0 }),
+        (2, 0, 0.0, FrameError::BadRow { entity: 2 }),
+        (4, 1, 0.0, FrameError::BadRow { entity: 4 }),
+    ] {
+        let mut rows = rows.clone();
+        rows[12 * entity + column] = value;
+        assert_eq!(read(&Frame { rows: &rows, ..frame }), Err(refusal));
+    }
+    reader.read(&frame).unwrap();
+    assert_eq!(reader.allocate(0, &mut generator(0), &mut [0; 3]), Err(FrameError::BadLength));
+}
+
+/// All vehicles leave at once, to the customers that are nearest to them together.
+#[test]
+fn by_the_hungarian_method_ways_are_shortest_together() {
+    let mut routing = playing(in_a_row(6, 25), TOGETHER);
+    let (state, mut allocation) = (saved(&routing), [0; 4]);
+    routing.allocate(2, &state, &mut generator(0), &mut allocation);
+    let mut sorted = allocation;
+    sorted.sort_unstable();
+    assert_eq!(sorted, [0, 1, 2, 3], "the four nearest of six");
+    follow(&mut routing, 2);
+    let told = routing.episode(0);
+    assert_eq!((told.steps, told.metrics[2]), (2, Some(4.0)), "all four leave, and two go on");
 }
 
 /// Customers to the right of the depot in a row, which ask for 5 each.

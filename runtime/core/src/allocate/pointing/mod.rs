@@ -9,6 +9,7 @@ mod round;
 
 pub use round::Round;
 
+use super::members;
 use crate::allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};
 use crate::entity_mask::EntityMask;
 use crate::limits;
@@ -28,10 +29,10 @@ pub struct PointingRules {
 /// Sizes of the two networks.
 ///
 /// The encoder takes rows `[T, fixed]` of subtasks and which of them there are `[T]`, and gives tables `[T, table]`. The decoder
-/// takes a [description](Round::describe) `[3 d + 1 + fixed]`, what the table of the subtask that the agent had before holds
-/// for it `[own]` (the last columns), of the other agents [descriptions](Round::describe_other) `[A - 1, d + 1]` and what the tables of theirs hold for them
-/// `[A - 1, given]` (the columns from `given` to twice that), which subtasks are left and which of the other agents there are
-/// `[T + A - 1]`, and the tables, and gives scores `[T]`.
+/// takes a [description](Round::describe) `[3 d + 1 + fixed]`, what the table of the subtask that the agent had last holds for
+/// it `[own]` (the last columns), of the other agents [descriptions](Round::describe_other) `[A - 1, d + 1]` and what the
+/// tables of theirs hold for them `[A - 1, given]` (the columns from `given` to twice that), which subtasks are left and which
+/// of the other agents there are `[T + A - 1]`, and the tables, and gives scores `[T]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Sizes {
     tasks: usize,
@@ -192,7 +193,7 @@ impl<'a> PointingAllocator<'a> {
         let mut known = 0;
         for entity in state.present.iter().filter(|entity| *entity >= state.agents) {
             let tasks = state.entity_task.get(entity).copied().unwrap_or(0);
-            for task in bits(tasks & !known) {
+            for task in members(tasks & !known) {
                 let from = row(state.rows, entity, state.stride).iter().copied();
                 let to = row_mut(memory.subtasks, task, sizes.fixed);
                 *encoded &= !replaced(to, from);
@@ -224,12 +225,12 @@ impl<'a> PointingAllocator<'a> {
         let Self { sizes, memory, .. } = self;
         let left = round.left();
         let subtasks = &*memory.subtasks;
-        let rows = bits(left).map(|task| row(subtasks, task, sizes.fixed));
+        let rows = members(left).map(|task| row(subtasks, task, sizes.fixed));
         round.describe(agent, rows, memory.context);
         let table = |agent| row(memory.tables, round.subtask_of(agent).into(), sizes.table).iter();
         replace(memory.own, table(agent).skip(sizes.table - sizes.own));
         memory.seen.fill(0.0);
-        for task in bits(left) {
+        for task in members(left) {
             row_mut(memory.seen, task, 1).fill(1.0);
         }
         for (place, other) in round.others(agent).enumerate() {
@@ -242,7 +243,7 @@ impl<'a> PointingAllocator<'a> {
         let inputs: [&[f32]; 6] = [context, own, others, given, seen, tables];
         self.decoder.respond(self.arena, &inputs, &mut [], &mut [&mut *scores])?;
         let mut best = (options.trailing_zeros() as u8, f32::NEG_INFINITY);
-        for task in bits(options) {
+        for task in members(options) {
             let score = scores.get(task).copied().unwrap_or(f32::NEG_INFINITY);
             if score > best.1 {
                 best = (task as u8, score);
@@ -275,7 +276,7 @@ impl<'a> PointingAllocator<'a> {
         }
         let mut before = [UNASSIGNED; limits::AGENTS];
         for (before, tasks) in before.iter_mut().zip(state.entity_task).take(state.agents) {
-            *before = bits(*tasks).next().map_or(UNASSIGNED, |task| task as u8);
+            *before = members(*tasks).next().map_or(UNASSIGNED, |task| task as u8);
         }
         self.look(state);
         self.encode()?;
@@ -316,7 +317,10 @@ impl Allocator for PointingAllocator<'_> {
         if state.agents > agents || state.tasks > tasks {
             return Err(AllocateError::TooLarge);
         }
-        if state.stride < self.sizes.columns {
+        // What one agent alone can be given is offered by its actions: somebody has to tell which are available.
+        let PointingRules { exclusive, first_action } = self.rules;
+        let actions = if exclusive == 0 { 0 } else { usize::from(first_action) + state.tasks };
+        if state.stride < self.sizes.columns || state.available.len() < state.agents * actions {
             return Err(AllocateError::BadLength);
         }
         let present = state.present.and(&EntityMask::first(state.entity_task.len()));
@@ -330,11 +334,6 @@ impl Allocator for PointingAllocator<'_> {
             _ => AllocateError::BadLength,
         })
     }
-}
-
-/// The members of a set of subtasks in rising order.
-fn bits(tasks: u32) -> impl Iterator<Item = usize> + Clone {
-    (0..limits::TASKS).filter(move |task| tasks >> task & 1 == 1)
 }
 
 /// Row `index` of `columns` items; empty where there is none.

@@ -282,7 +282,8 @@ fn rules_find_the_same_in_frames() {
         let (rows, seen) = rows_of(&*skirmish, &state);
         let (stride, open_tasks) = (skirmish.spec().shape.features, seen.open_tasks);
         let present = seen.present & !EntitySet::from(seen.absent);
-        let frame = Frame { rows: &rows, stride, agents: 4, tasks: 3, present, open_tasks };
+        let frame =
+            Frame { rows: &rows, stride, agents: 4, tasks: 3, present, open_tasks, available: &[] };
         reader.read(&frame).unwrap();
         for rule in 0..2 {
             let [mut own, mut read] = [[9; 4], [9; 4]];
@@ -317,7 +318,8 @@ fn frames_that_show_no_encounter_are_refused() {
     let stride = skirmish.spec().shape.features;
     let present = seen.present;
     let read = |rows: &[f32], tasks: usize| {
-        let frame = Frame { rows, stride, agents: 4, tasks, present, open_tasks: 1 };
+        let frame =
+            Frame { rows, stride, agents: 4, tasks, present, open_tasks: 1, available: &[] };
         super::super::frames::reader().read(&frame)
     };
     let changed = |column: usize, value: f32| {

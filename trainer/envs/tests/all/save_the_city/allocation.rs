@@ -54,6 +54,7 @@ fn frame<'a>(city: &SaveTheCity, buffers: &'a Buffers) -> Frame<'a> {
         tasks: city.shape().tasks,
         present: buffers.present,
         open_tasks: buffers.open_tasks,
+        available: &[],
     }
 }
 
