@@ -2,11 +2,13 @@
 
 use clap::Args;
 use sortie_bundle::Bundle;
-use sortie_core::allocate::{PlanTeamValue, ProposalAllocator, TeamQuery, TeamValueNetwork};
+use sortie_core::allocate::{
+    PlanTeamValue, PointingMemory, ProposalAllocator, TeamQuery, TeamValueNetwork,
+};
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{AllocateError, Allocator};
 use sortie_learn::subtasks::PROPOSALS;
-use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine, PointingMemory};
+use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
 use sortie_stage::{Search, SearchSizes, TeamValuePlan};
 
 use crate::allocation::AllocatorChoice;

@@ -38,15 +38,27 @@ pub struct Cast {
 
 /// A learned allocator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct AllocatorCast {
-    /// The plan of the network that values teams.
-    pub plan: Vec<u8>,
-    /// Most entities N of the networks.
-    pub entities: u16,
-    /// Most subtasks T.
-    pub tasks: u16,
-    /// Largest team of one subtask.
-    pub team_max: u16,
+pub enum AllocatorCast {
+    /// It values teams.
+    TeamValue {
+        /// The plan of its network.
+        plan: Vec<u8>,
+        /// Most entities N of the networks.
+        entities: u16,
+        /// Most subtasks T.
+        tasks: u16,
+        /// Largest team of one subtask.
+        team_max: u16,
+    },
+    /// It points at subtasks.
+    Pointing {
+        /// The plans of encoder and decoder.
+        plans: [Vec<u8>; 2],
+        /// Subtasks that one agent alone can be given, as bits.
+        exclusive: u32,
+        /// The action that heads for the first subtask.
+        first_action: u16,
+    },
 }
 
 impl Cast {

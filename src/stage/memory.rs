@@ -1,9 +1,11 @@
 //! All memory that a team on a stage works in.
 
+use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::cell::Cell;
 
+use sortie_core::allocate::{PointingMemory, PointingRules};
 use sortie_core::identity::schema_hash;
 use sortie_core::limits;
 use sortie_core::link::{Clock, FrameBlock};
@@ -15,7 +17,7 @@ use sortie_envs::Entry;
 use crate::allocation::{Search, SearchSizes, TeamValuePlan};
 use crate::cast::{AllocatorCast, Cast};
 use crate::error::StageError;
-use crate::mind::Mind;
+use crate::mind::{Learned, Mind};
 
 /// Time that passes only where everybody waits: what is played depends on no clock.
 #[derive(Debug, Default)]
@@ -64,23 +66,37 @@ impl AgentMemory {
     }
 }
 
-/// The memory of whoever values teams, and searches for the best ones.
-pub(crate) struct AllocatorMemory {
-    pub(crate) values: TeamValuePlan,
-    pub(crate) search: Search,
+/// The memory of a learned allocator.
+pub(crate) enum AllocatorMemory {
+    /// It values teams, and searches for the best ones.
+    TeamValue(TeamValuePlan, Search),
+    Pointing(PointingMemory),
 }
 
 impl AllocatorMemory {
     fn new(cast: &AllocatorCast, entry: &'static Entry) -> Result<Self, StageError> {
-        let sizes = SearchSizes {
-            entities: cast.entities.into(),
-            tasks: cast.tasks.into(),
-            team_max: cast.team_max.into(),
-        };
-        let plan = AlignedBytes::copy_of(&cast.plan);
-        Ok(Self {
-            values: TeamValuePlan::new(plan, sizes.entities)?,
-            search: Search::new(entry, sizes).ok_or(StageError::NoRules)?,
+        match cast {
+            AllocatorCast::TeamValue { plan, entities, tasks, team_max } => {
+                let [entities, tasks, team_max] = [*entities, *tasks, *team_max].map(usize::from);
+                let values = TeamValuePlan::new(AlignedBytes::copy_of(plan), entities)?;
+                let search = Search::new(entry, SearchSizes { entities, tasks, team_max });
+                Ok(Self::TeamValue(values, search.ok_or(StageError::NoRules)?))
+            }
+            AllocatorCast::Pointing { plans, exclusive, first_action } => {
+                let plans = plans.each_ref().map(|plan| AlignedBytes::copy_of(plan));
+                let rules = PointingRules { exclusive: *exclusive, first_action: *first_action };
+                Ok(Self::Pointing(PointingMemory::new(plans, rules)?))
+            }
+        }
+    }
+
+    /// The allocator over this memory.
+    pub(crate) fn bind(&mut self) -> Result<Learned<'_>, PlanError> {
+        Ok(match self {
+            Self::TeamValue(values, search) => {
+                Learned::TeamValue(Box::new(search.allocator(values.bind()?)))
+            }
+            Self::Pointing(memory) => Learned::Pointing(Box::new(memory.bind()?)),
         })
     }
 }

@@ -5,7 +5,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 use sortie_attention::AttentionProbe;
-use sortie_core::allocate::PlanTeamValue;
+use sortie_core::allocate::{PlanTeamValue, PointingAllocator};
 use sortie_core::choose::masked_argmax;
 use sortie_core::options::{OptionPolicy, PlanNetworks, Pursuit, Shown};
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
@@ -215,9 +215,15 @@ impl Policy for NotingPolicy<'_, '_> {
     }
 }
 
+/// What the team has learned.
+pub(crate) enum Learned<'a> {
+    TeamValue(Box<LearnedAllocator<'a, PlanTeamValue<'a>>>),
+    Pointing(Box<PointingAllocator<'a>>),
+}
+
 /// Whoever is chosen to allocate: what the team has learned, or a rule of the environment.
 pub(crate) struct Allocators<'a> {
-    pub(crate) learned: LearnedAllocator<'a, PlanTeamValue<'a>>,
+    pub(crate) learned: Learned<'a>,
     rules: Vec<RuleAllocator>,
     /// 0 is what was learned, the others are rules.
     pub(crate) chosen: usize,
@@ -228,12 +234,7 @@ pub(crate) struct Allocators<'a> {
 }
 
 impl<'a> Allocators<'a> {
-    pub(crate) fn new(
-        learned: LearnedAllocator<'a, PlanTeamValue<'a>>,
-        entry: &Entry,
-        agents: usize,
-        seed: u64,
-    ) -> Self {
+    pub(crate) fn new(learned: Learned<'a>, entry: &Entry, agents: usize, seed: u64) -> Self {
         let rules = (0..entry.rules.len()).filter_map(|rule| RuleAllocator::new(entry, rule, seed));
         Self {
             learned,
@@ -253,7 +254,10 @@ impl Allocator for Allocators<'_> {
     ) -> Result<(), AllocateError> {
         match self.chosen.checked_sub(1).and_then(|rule| self.rules.get_mut(rule)) {
             Some(rule) => rule.allocate(state, allocation)?,
-            None => self.learned.allocate(state, allocation)?,
+            None => match &mut self.learned {
+                Learned::TeamValue(learned) => learned.allocate(state, allocation)?,
+                Learned::Pointing(learned) => learned.allocate(state, allocation)?,
+            },
         }
         self.newest.copy_from_slice(allocation);
         self.decided = true;

@@ -17,7 +17,7 @@ use sortie_core::{Policy, World};
 use crate::cast::Cast;
 use crate::error::StageError;
 use crate::memory::{AllocatorMemory, Memory, StageClock};
-use crate::mind::{Allocators, Decisions, Note, NotingPolicy, Remembered};
+use crate::mind::{Allocators, Decisions, Learned, Note, NotingPolicy, Remembered};
 
 /// How long a world waits for an agent that does not answer: only the order of events counts here.
 const PATIENCE_NS: u64 = 1_000_000;
@@ -110,14 +110,8 @@ impl<'a, W: World> Stage<'a, W> {
         let (assigns, probe) = (allocating.is_some(), cast.attention.clone());
         let probe = probe.map(|layers| AttentionProbe::new(layers, format.layout.shape().features));
         let mind = team.mind(cast)?;
-        let allocators = allocating.as_mut().map(|AllocatorMemory { values, search }| {
-            Ok::<_, StageError>(Allocators::new(
-                search.allocator(values.bind()?),
-                entry,
-                agents,
-                seed,
-            ))
-        });
+        let learned = allocating.as_mut().map(AllocatorMemory::bind).transpose()?;
+        let allocators = learned.map(|learned| Allocators::new(learned, entry, agents, seed));
         let allocator = AllocatorOptions {
             format,
             identity: Identity::new(1, "allocator"),
@@ -149,7 +143,7 @@ impl<'a, W: World> Stage<'a, W> {
             processes: 1,
             onlooker: DirectCursor::default(),
             decisions: Decisions { mind, are_told: false, probe, notes: Vec::new() },
-            allocators: allocators.transpose()?,
+            allocators,
         };
         if assigns {
             stage.allocator_role.lead(1);
@@ -270,9 +264,12 @@ impl<'a, W: World> Stage<'a, W> {
         self.allocators.as_ref().is_some_and(|allocators| allocators.decided)
     }
 
-    /// Largest team of one subtask.
+    /// Largest team of one subtask that is valued; 0 where teams are not.
     pub fn team_max(&self) -> usize {
-        self.allocators.as_ref().map_or(0, |allocators| allocators.learned.team_max)
+        match self.allocators.as_ref().map(|allocators| &allocators.learned) {
+            Some(Learned::TeamValue(learned)) => learned.team_max,
+            _ => 0,
+        }
     }
 
     /// The decisions in the current state, in the order of the agents.
@@ -302,7 +299,7 @@ impl<'a, W: World> Stage<'a, W> {
     }
 
     /// What the network expects of teams, bit a for agent a, at a subtask that is open; none where there is no frame, or
-    /// agents are not assigned.
+    /// nobody values teams.
     ///
     /// # Errors
     /// The network refuses the state.
@@ -314,7 +311,10 @@ impl<'a, W: World> Stage<'a, W> {
         let end = self.messages.agent(&mut self.onlooker);
         let Some(view) = view(&end, &self.format) else { return Ok(None) };
         let state = view.allocation_state();
-        let Some(Allocators { learned, .. }) = &mut self.allocators else { return Ok(None) };
+        let Some(Allocators { learned: Learned::TeamValue(learned), .. }) = &mut self.allocators
+        else {
+            return Ok(None);
+        };
         let mut relation = vec![0.0; state.entity_task.len() * learned.relation.columns()];
         learned.relation.observe(&state)?;
         learned.relation.write(&state, task, &mut relation);

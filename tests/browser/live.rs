@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::chromium::Browser;
 use crate::support::{BUNDLE, assert_fails, json, output, wait_until};
 
-const TEAMS: [&str; 10] = [
+const TEAMS: [&str; 11] = [
     BUNDLE,
     "models/save-the-city-wide",
     "models/save-the-city-large",
@@ -20,6 +20,7 @@ const TEAMS: [&str; 10] = [
     "models/gridworld",
     "models/skirmish",
     "models/base-defence",
+    "models/routing",
 ];
 /// Teams that nobody assigns to subtasks, and what their pages show of the selected agent and of the rest.
 const UNASSIGNED: [(&str, &[&str]); 6] = [

@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use sortie_bundle::{
     ALLOCATOR_PLAN, AgentGraph, Bundle, GOLDEN, POINTING_PLANS, POLICY_ROLES, Recording, sha256,
 };
+use sortie_core::allocate::PointingMemory;
 use sortie_core::limits;
 use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 
 use crate::cache::{PlanKey, keep, kept};
 use crate::error::CompileError;
-use crate::pointing::{PointingMemory, pointing_policies};
+use crate::pointing::pointing_policies;
 use crate::policy::{PolicyOptions, roles_of};
 use crate::policy_plan::CompiledPolicy;
 use crate::proof::{AgentPlans, prove_agents, prove_allocator, prove_options, prove_pointing};

@@ -67,7 +67,7 @@ pub use options::{
     GraphNetworks, compare_with_golden_episodes, option_arena, option_networks, option_policy,
     options_over_graphs,
 };
-pub use pointing::{PointingMemory, pointing_policies};
+pub use pointing::pointing_policies;
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
     PolicyOutput, PolicyState, ValueType, finite_score, roles_of,

@@ -91,14 +91,9 @@ pub(crate) fn live(
 
 /// All that plays: plans, which have given the bundle's golden answers, and what they are asked.
 pub fn cast(bundle: &Bundle, set: &ScenarioSetName) -> Result<Cast, Failure> {
-    let (contract, limits) = (bundle.contract(), bundle.manifest().limits);
+    let contract = bundle.contract();
     let agents = plans().agents(bundle, Profile::Exact)?;
-    let allocator = plans().allocator(bundle)?.map(|plan| AllocatorCast {
-        plan: plan.as_slice().to_vec(),
-        entities: limits.n_max,
-        tasks: limits.t_max,
-        team_max: limits.team_max,
-    });
+    let allocator = allocator(bundle)?;
     // Agents that act for subtasks need somebody who assigns them.
     let conditioning = match &allocator {
         Some(_) => SubtaskConditioning::Mask,
@@ -128,6 +123,23 @@ pub fn cast(bundle: &Bundle, set: &ScenarioSetName) -> Result<Cast, Failure> {
     })
 }
 
+/// What allocates, if it has learned to value teams or to point at subtasks.
+fn allocator(bundle: &Bundle) -> Result<Option<AllocatorCast>, Failure> {
+    let limits = bundle.manifest().limits;
+    let pointing = plans().pointing(bundle)?.map(|memory| AllocatorCast::Pointing {
+        plans: memory.plans().each_ref().map(|plan| plan.as_slice().to_vec()),
+        exclusive: memory.rules().exclusive,
+        first_action: memory.rules().first_action,
+    });
+    let values = plans().allocator(bundle)?.map(|plan| AllocatorCast::TeamValue {
+        plan: plan.as_slice().to_vec(),
+        entities: limits.n_max,
+        tasks: limits.t_max,
+        team_max: limits.team_max,
+    });
+    Ok(pointing.or(values))
+}
+
 /// The golden utilities, and those of the first decisions that the team takes in the episodes of a seed.
 fn hashes(cast: &Cast, seed: u64) -> Result<Hashes, StageError> {
     let mut memory = memory(cast)?;
@@ -143,6 +155,6 @@ fn hashes(cast: &Cast, seed: u64) -> Result<Hashes, StageError> {
 
 fn refused() -> Failure {
     let message = "a page plays teams whose agents act for no subtasks, or for those that an allocator gives them \
-                   which has learned to value teams";
+                   which has learned to value teams or to point at subtasks";
     Failure::new(Exit::Usage, message)
 }

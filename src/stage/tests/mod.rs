@@ -2,6 +2,7 @@
 
 mod crafting;
 mod places;
+mod routing;
 mod save_the_city;
 
 use std::path::Path;
@@ -19,7 +20,12 @@ fn cast(model: &str, set: &str, plans: &[&str]) -> Cast {
     let (contract, limits) = (bundle.contract(), bundle.manifest().limits);
     let plan = |name: &str| std::fs::read(folder.join(format!("{name}.plan")));
     let rules = bundle.options().map(|options| options.rules(contract.actions.into()));
-    let allocator = plan("allocator").ok().map(|plan| AllocatorCast {
+    let pointing = bundle.pointing_graphs().map(|(_, rules)| AllocatorCast::Pointing {
+        plans: ["encoder", "decoder"].map(|part| plan(&format!("allocator_{part}")).expect(part)),
+        exclusive: rules.exclusive,
+        first_action: rules.first_action,
+    });
+    let values = plan("allocator").ok().map(|plan| AllocatorCast::TeamValue {
         plan,
         entities: limits.n_max,
         tasks: limits.t_max,
@@ -39,7 +45,7 @@ fn cast(model: &str, set: &str, plans: &[&str]) -> Cast {
         plans: plans.iter().map(|name| plan(name).expect("a plan")).collect(),
         plan_of: bundle.manifest().network.graph_of.clone(),
         options: rules.map(|rules| OptionSettings::from(&rules.expect("rules"))),
-        allocator,
+        allocator: pointing.or(values),
         attention: None,
         golden: golden.collect(),
     }

@@ -16,8 +16,6 @@ pub const ENVIRONMENTS: &[Entry] = &[
     crate::gridworld::ENTRY,
     crate::skirmish::ENTRY,
     crate::smax::ENTRY,
-    // No team of it is shown on live pages so far, whose program has this list as well and is as large as it may be.
-    #[cfg(feature = "std")]
     crate::routing::ENTRY,
     crate::crafting::ENTRY,
     crate::treasure_rooms::ENTRY,

@@ -21,6 +21,8 @@ pub mod team_value;
 
 pub use cost::{CostAllocator, CostMethod, CostModel};
 pub use plan_value::PlanTeamValue;
+#[cfg(feature = "alloc")]
+pub use pointing::PointingMemory;
 pub use pointing::{PointingAllocator, PointingRules};
 pub use proposals::ProposalAllocator;
 pub use team_value::{

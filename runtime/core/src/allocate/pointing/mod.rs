@@ -5,8 +5,12 @@
 //! only where that has changed; the decoder scores subtasks for one agent. Who can be given what is not theirs to say: any
 //! state gets a feasible allocation or a refusal.
 
+#[cfg(feature = "alloc")]
+mod memory;
 mod round;
 
+#[cfg(feature = "alloc")]
+pub use memory::PointingMemory;
 pub use round::Round;
 
 use super::members;
