@@ -283,13 +283,15 @@ fn write(
 fn drawn(figure: &Figure, came: &Came<'_>) -> Result<String, Failure> {
     let labels: Vec<&str> = figure.methods.iter().map(|method| &*method.name).collect();
     let by_measures = figure.cases.len() == 1 && figure.measures.len() > 1;
-    let bars = came.rows.iter().flat_map(|row| {
-        let label = labels.iter().position(|label| *label == row.method);
-        let shown = if by_measures { row.measures.len() } else { 1 };
-        row.measures.iter().take(shown).filter_map(move |measured| {
-            let group = if by_measures { measured.name } else { row.case };
-            Some(Bar { group, label: label?, spread: measured.spread })
-        })
+    let shown = came.rows.first().map_or(0, |row| row.measures.len());
+    let shown = if by_measures { shown } else { 1 };
+    // Group by group: of several measures one after the other, each of all methods.
+    let all = (0..shown).flat_map(|measure| came.rows.iter().map(move |row| (row, measure)));
+    let bars = all.filter_map(|(row, measure)| {
+        let measured = row.measures.get(measure)?;
+        let label = labels.iter().position(|label| *label == row.method)?;
+        let group = if by_measures { measured.name } else { row.case };
+        Some(Bar { group, label, spread: measured.spread })
     });
     let bars: Vec<Bar<'_>> = bars.collect();
     let (about, ends) = match figure.measures.first() {
@@ -321,4 +323,44 @@ fn print(came: &Came<'_>) {
     }
     table.print();
     say!("{:.0} seconds of processor time in all runs", came.cpu_s);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_measure_of_a_single_case_is_one_group_of_bars() {
+        let text = r#"
+            [[figure]]
+            name = "f"
+            about = "two numbers"
+            state = "done"
+            why = ""
+            seeds = "1..1"
+            cases = [{ name = "case", words = "" }]
+            measures = [{ name = "early", key = "a" }, { name = "late", key = "b" }]
+            methods = [{ name = "one", words = "" }, { name = "other", words = "" }]
+        "#;
+        let recipes = Recipes::from_text(text, "").expect("a recipe");
+        let figure = &recipes.figures[0];
+        let spread = |mean: f64| Spread::of([mean]).expect("a number");
+        let measured =
+            |name, mean| Measured { name, seeds: vec![mean], spread: spread(mean), digits: 2 };
+        let row = |method: &'static str| Row {
+            case: "case",
+            method,
+            command: String::new(),
+            measures: vec![measured("early", 1.0), measured("late", 2.0)],
+            published: None,
+            cpu_s: spread(1.0),
+        };
+        let rows = vec![row("one"), row("other")];
+        let came =
+            Came { figure: "f", about: "two numbers", why: "", seeds: &[1], rows, cpu_s: 2.0 };
+        let picture = drawn(figure, &came).expect("a picture");
+        for name in ["early", "late"] {
+            assert_eq!(picture.matches(name).count(), 1, "{name}");
+        }
+    }
 }

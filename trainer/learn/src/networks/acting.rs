@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 
 use sortie_core::choose::masked_argmax;
 use sortie_core::{DecideError, Decision, Policy};
-use sortie_envs::random::{chance, member};
+use sortie_envs::random::{chance, member, unit};
 use sortie_envs::{ActionSet, EntitySet, Observation, Random, members};
+use sortie_nn::layers::softmax;
 use sortie_nn::tape::Tape;
 
 use super::agent::EntityAgent;
@@ -23,6 +24,32 @@ pub fn best(utilities: &[f32], available: ActionSet) -> usize {
         }
     }
     best
+}
+
+/// The softmax of the scores of those actions that are available; 0 for all others.
+pub fn chances(scores: &[f32], available: ActionSet) -> Vec<f32> {
+    let mut chances = vec![f32::NEG_INFINITY; scores.len()];
+    for action in members(available.into()) {
+        chances[action] = scores[action];
+    }
+    softmax::forward(&mut chances);
+    chances
+}
+
+/// Draws an available action by its [chance](chances).
+pub fn draw(scores: &[f32], available: ActionSet, random: &mut Random) -> usize {
+    drawn(&chances(scores, available), unit(random) as f32)
+}
+
+/// The action whose share of 0..1 a number falls into.
+pub fn drawn(chances: &[f32], mut number: f32) -> usize {
+    for (action, chance) in chances.iter().enumerate() {
+        if number < *chance {
+            return action;
+        }
+        number -= chance;
+    }
+    (0..chances.len()).rev().find(|action| chances[*action] > 0.0).unwrap_or(0)
 }
 
 /// Buffers for the decisions of any number of teams at once, and what their agents remember.

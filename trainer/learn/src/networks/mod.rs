@@ -44,7 +44,7 @@ mod attention;
 mod batch;
 mod mixer;
 
-pub use acting::{Acting, Greedy, best, deployed};
+pub use acting::{Acting, Greedy, best, chances, deployed, draw, drawn};
 pub use agent::{AgentShape, EntityAgent};
 pub use aims::{AimView, AimedHead, Aims, Targets};
 pub use attention::{Attended, EntityAttention, LookShape};

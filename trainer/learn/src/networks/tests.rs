@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 
+use sortie_envs::random::generator;
 use sortie_envs::{EntitySet, Observation, members};
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::stream;
@@ -450,4 +451,25 @@ fn who_is_absent_does_what_is_left_to_it() {
 fn the_best_available_action_is_the_first_of_equals() {
     assert_eq!(best(&[1.0, 3.0, 3.0, 9.0], 0b0111), 1);
     assert_eq!(best(&[1.0, f32::NAN], 0b10), 1);
+}
+
+#[test]
+fn actions_are_drawn_by_their_chances() {
+    for (number, action) in [(0.0, 1), (0.24, 1), (0.26, 2), (0.99, 2), (1.0, 2)] {
+        assert_eq!(drawn(&[0.0, 0.25, 0.75, 0.0], number), action, "{number}");
+    }
+}
+
+#[test]
+fn actions_are_drawn_by_their_chances_among_those_that_are_available() {
+    let (scores, mut random, mut drawn) = ([0.0, 9.0, 1.0, -1.0], generator(1), [0; 4]);
+    for _ in 0..20_000 {
+        drawn[draw(&scores, 0b1101, &mut random)] += 1;
+    }
+    let powers = [1.0, 0.0, 1_f64.exp(), (-1_f64).exp()];
+    for (count, power) in drawn.into_iter().zip(powers) {
+        let chance = power / powers.iter().sum::<f64>();
+        assert!((f64::from(count) / 20_000.0 - chance).abs() < 0.015, "{drawn:?}");
+    }
+    assert_eq!(drawn[1], 0);
 }

@@ -3,10 +3,11 @@
 use sortie_envs::random::unit;
 use sortie_envs::{EntitySet, Observation, Random};
 use sortie_learn::Scenes;
+use sortie_learn::networks::drawn;
 use sortie_nn::layers::softmax;
 use sortie_nn::tape::Tape;
 
-use super::groups::{Group, Groups, Rows, Running, best, drawn, emptied};
+use super::groups::{Group, Groups, Rows, Running, best, emptied};
 use super::policies::Policies;
 
 /// What becomes of observations before networks are shown them.

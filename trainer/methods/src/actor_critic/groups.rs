@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use sortie_envs::random::unit;
 use sortie_envs::{Random, Spec};
+use sortie_learn::networks::drawn;
 use sortie_learn::{LearnError, State};
 use sortie_nn::layers::normalise::Moments;
 use sortie_nn::layers::{VisibleLists, softmax};
@@ -180,7 +181,7 @@ impl Draw for Random {
                 chances.clear();
                 chances.extend_from_slice(scores);
                 softmax::forward(&mut chances);
-                drawn(&chances, unit(self) as f32)
+                drawn(&chances, unit(self) as f32) as u32
             })
             .collect()
         };
@@ -205,17 +206,6 @@ pub(crate) fn best_of_all(groups: &Groups, scores: &Rows) -> Vec<Vec<u32>> {
 pub(crate) fn best(scores: &[f32]) -> u32 {
     let largest = scores.iter().enumerate().reduce(|a, b| if b.1 > a.1 { b } else { a });
     largest.map_or(0, |(action, _)| action as u32)
-}
-
-/// The action whose share of 0..1 a number falls into.
-pub(crate) fn drawn(chances: &[f32], mut number: f32) -> u32 {
-    for (action, chance) in chances.iter().enumerate() {
-        if number < *chance {
-            return action as u32;
-        }
-        number -= chance;
-    }
-    (0..chances.len()).rev().find(|action| chances[*action] > 0.0).unwrap_or(0) as u32
 }
 
 /// Mean and variance of what each group's policy was shown, moved a tenth of the way with every batch.
@@ -283,13 +273,6 @@ mod tests {
         let lists: Vec<Vec<usize>> = (0..6).map(|row| others.list(row).collect()).collect();
         assert_eq!(lists, [[1, 4], [0, 4], [3, 5], [2, 5], [0, 1], [2, 3]]);
         assert_eq!(records, [0, 0, 1, 1, 0, 1]);
-    }
-
-    #[test]
-    fn actions_are_drawn_by_their_chances() {
-        for (number, action) in [(0.0, 1), (0.24, 1), (0.26, 2), (0.99, 2), (1.0, 2)] {
-            assert_eq!(drawn(&[0.0, 0.25, 0.75, 0.0], number), action, "{number}");
-        }
     }
 
     #[test]

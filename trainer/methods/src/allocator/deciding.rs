@@ -1,12 +1,10 @@
 //! One agent after the other points at a subtask, in any number of episodes that have the same subtasks.
 
 use sortie_core::allocate::pointing::Round;
-use sortie_envs::{EntitySet, Environment, Observation, Random, UNASSIGNED, members};
-use sortie_nn::layers::softmax;
+use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED, members};
 use sortie_nn::tape::Tape;
 
 use super::network::{Decisions, Network};
-use crate::actor_critic::groups::drawn;
 
 /// The subtasks of an instance, which stay as they are for its whole episode.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -217,22 +215,4 @@ impl Group {
         }
         teams.into_iter().map(|team| team.allocation).collect()
     }
-}
-
-/// Draws a place by the softmax of the scores of those that are offered.
-pub(super) fn draw(scores: &[f32], offered: u32, random: &mut Random) -> usize {
-    drawn(&chances(scores, offered), sortie_envs::random::unit(random) as f32) as usize
-}
-
-/// The softmax of the scores of those places that are offered.
-pub(super) fn chances(scores: &[f32], offered: u32) -> Vec<f32> {
-    let masked = scores.iter().enumerate();
-    let masked = masked.map(
-        |(place, score)| {
-            if offered >> place & 1 == 1 { *score } else { f32::NEG_INFINITY }
-        },
-    );
-    let mut chances: Vec<f32> = masked.collect();
-    softmax::forward(&mut chances);
-    chances
 }

@@ -8,6 +8,7 @@
 mod agents;
 mod deciding;
 mod export;
+mod greedy;
 mod method;
 mod network;
 #[cfg(test)]

@@ -1,15 +1,17 @@
 use sortie_envs::random::generator;
 use sortie_envs::{Environment, Split, UNASSIGNED};
 use sortie_learn::Now;
+use sortie_learn::networks::{chances, draw};
 use sortie_learn::play::{Play, Start, evaluate};
 use sortie_learn::run::{EpisodeCounts, Reports};
+use sortie_learn::subtasks::{AllocatedTeam, ScriptedAgents};
 use sortie_nn::gradient_check::assert_gradient;
 use sortie_nn::tape::Tape;
 
-use super::deciding::{Asked, Group, Seen, chances};
-use super::method::{Allocator, Greedy, loss};
+use super::deciding::{Asked, Group, Seen};
+use super::greedy::Greedy;
+use super::method::{Allocator, loss};
 use super::*;
-use sortie_learn::subtasks::{AllocatedTeam, ScriptedAgents};
 
 const INSTANCES: usize = 8;
 
@@ -82,7 +84,7 @@ fn scores_do_not_depend_on_what_is_decided_beside_them() {
         pass.values(scores).chunks_exact(columns).zip(made.offered.iter().zip(&made.chosen))
     {
         assert!(offered.count_ones() > 1 && offered >> chosen & 1 == 1);
-        let chances = chances(scores, *offered);
+        let chances = chances(scores, (*offered).into());
         assert!((chances.iter().sum::<f32>() - 1.0).abs() < 1e-5);
         for (place, chance) in chances.iter().enumerate() {
             assert_eq!(*chance > 0.0, offered >> place & 1 == 1, "{chances:?}");
@@ -133,7 +135,7 @@ fn whatever_is_given_was_offered() {
                 let asked = [Asked { episode: 0, state: &state, before: &before }];
                 let seen = Seen { environment: &*environment, turn: 0, states: &asked };
                 let given = group.allocate((network, weights), seen, |scores, offered| {
-                    deciding::draw(scores, offered, &mut random)
+                    draw(scores, offered.into(), &mut random)
                 });
                 let exclusive = environment.offers(&state, &mut offers);
                 let mut taken = 0;

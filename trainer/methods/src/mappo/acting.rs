@@ -1,14 +1,11 @@
 //! Agents that act by their policy: as it draws, or the best that they know.
 
-use sortie_envs::random::unit;
 use sortie_envs::{ActionSet, Random, members};
 use sortie_learn::networks::best;
 use sortie_learn::{Act, LearnError, Scenes};
-use sortie_nn::layers::softmax;
 use sortie_nn::tape::Tape;
 
-use super::networks::{Network, Shown, closed};
-use crate::actor_critic::groups::drawn;
+use super::networks::{Network, Shown};
 
 /// Buffers for the decisions of any number of teams at once.
 #[derive(Debug, Default)]
@@ -50,13 +47,6 @@ impl Acting {
             actions[place] = choose(scores, *open, instance) as u16;
         }
     }
-}
-
-/// Draws one of the actions that are available by the softmax of their scores.
-pub(super) fn draw(scores: &[f32], open: ActionSet, random: &mut Random) -> usize {
-    let mut chances: Vec<f32> = scores.iter().zip(closed(open)).map(|(s, c)| s + c).collect();
-    softmax::forward(&mut chances);
-    drawn(&chances, unit(random) as f32) as usize
 }
 
 /// Agents that take the best action that they know.

@@ -4,6 +4,7 @@ use sortie_envs::random::shuffle;
 use sortie_envs::{Environment, Random, Step};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::learner::{By, Rules as Following};
+use sortie_learn::networks::draw;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::session::Opening;
@@ -15,7 +16,7 @@ use sortie_nn::lanes::in_lanes;
 use sortie_nn::layers::normalise::Moments;
 use sortie_nn::schedule::linear;
 
-use super::acting::{Acting, Greedy, draw};
+use super::acting::{Acting, Greedy};
 use super::lesson::{Lesson, Rules, advantages};
 use super::networks::Network;
 use super::{Config, ReturnsConfig, UpdateConfig};

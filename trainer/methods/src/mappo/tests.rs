@@ -10,7 +10,6 @@ use sortie_learn::trajectory::End;
 use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::tape::{Parameters, Pass, Tape};
 
-use super::acting::draw;
 use super::lesson::{Lesson, Rules, advantages};
 use super::networks::Shown;
 use super::*;
@@ -295,18 +294,4 @@ fn a_critic_of_the_state_knows_what_agents_do_not_see() {
         );
         assert!(before.len() == 5 && before[0] != 0.0, "{before:?}");
     }
-}
-
-#[test]
-fn actions_are_drawn_by_their_chances_among_those_that_are_available() {
-    let (scores, mut random, mut drawn) = ([0.0, 9.0, 1.0, -1.0], generator(1), [0; 4]);
-    for _ in 0..20_000 {
-        drawn[draw(&scores, 0b1101, &mut random)] += 1;
-    }
-    let powers = [1.0, 0.0, 1_f64.exp(), (-1_f64).exp()];
-    for (count, power) in drawn.into_iter().zip(powers) {
-        let chance = power / powers.iter().sum::<f64>();
-        assert!((f64::from(count) / 20_000.0 - chance).abs() < 0.015, "{drawn:?}");
-    }
-    assert_eq!(drawn[1], 0);
 }
