@@ -154,7 +154,7 @@ fn figures_that_cannot_be_redone_say_why() {
     let ask = |figure| output(&["reproduce", figure, "--recipes", &recipes, "--out", &out]);
     assert_fails(&ask("missing"), 2, &["not yet", "The environment is not there."]);
     assert_fails(&ask("figure-9.9"), 2, &["no figure `figure-9.9`", "small"]);
-    assert_fails(&output(&["reproduce", "figure-7.3"]), 2, &["not yet", "other solvers"]);
+    assert_fails(&output(&["reproduce", "figure-3.5"]), 2, &["not yet", "no recipe gathers it"]);
     assert_fails(&output(&["reproduce", "small", "--recipes", "no.toml"]), 66, &["no.toml"]);
     assert_eq!(output(&["reproduce"]).status.code(), Some(2));
     let listed = output(&["reproduce", "--list", "--json"]);
