@@ -11,8 +11,7 @@ use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 
 use crate::cache::{PlanKey, keep, kept};
 use crate::error::CompileError;
-use crate::pointing::pointing_policies;
-use crate::policy::{PolicyOptions, roles_of};
+use crate::policy::{PolicyOptions, pointing_policies, roles_of};
 use crate::policy_plan::CompiledPolicy;
 use crate::proof::{AgentPlans, prove_agents, prove_allocator, prove_options, prove_pointing};
 use crate::report::{CompileOptions, Compiled, ProposalFiles, VERSION};

@@ -20,7 +20,6 @@ mod network;
 mod observations;
 mod onnx_file;
 mod options;
-mod pointing;
 mod policy;
 mod policy_plan;
 mod process;
@@ -67,10 +66,9 @@ pub use options::{
     GraphNetworks, compare_with_golden_episodes, option_arena, option_networks, option_policy,
     options_over_graphs,
 };
-pub use pointing::pointing_policies;
 pub use policy::{
     FlatPolicy, InputRole, OutputRole, PolicyAnswer, PolicyFacts, PolicyInput, PolicyOptions,
-    PolicyOutput, PolicyState, ValueType, finite_score, roles_of,
+    PolicyOutput, PolicyState, ValueType, finite_score, pointing_policies, roles_of,
 };
 pub use policy_plan::{
     CompiledPolicy, LARGEST_DEVIATION, OutputAgreement, PlanFlatPolicy, PolicyAgreement, ProofCase,

@@ -52,6 +52,16 @@ pub fn roles_of(bundle: &Bundle) -> Result<Option<PolicyOptions>, CompileError> 
     Ok(roles.map(PolicyOptions::from))
 }
 
+/// What encoder and decoder of an allocator that points are compiled as: they choose no action, and no input is a mask of those.
+pub fn pointing_policies() -> [PolicyOptions; 2] {
+    ["tables", "scores"].map(|output| PolicyOptions {
+        outputs: vec![format!("{output}:continuous")],
+        states: vec!["none".to_owned()],
+        available: Some("none".to_owned()),
+        ..PolicyOptions::default()
+    })
+}
+
 /// What a policy takes and gives: only what the wanted outputs are computed from, sizes fixed, a batch of one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PolicyFacts {

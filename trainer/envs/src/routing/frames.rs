@@ -2,6 +2,8 @@
 
 use alloc::boxed::Box;
 
+use sortie_core::limits::TASKS;
+
 use super::observation::{AT_DEPOT, CUSTOMER, DEPOT, FEATURES, VEHICLE, X};
 use super::rules::{Scene, Standing};
 use crate::decisions::UNASSIGNED;
@@ -23,12 +25,17 @@ struct Reader {
 impl FrameReader for Reader {
     fn read(&mut self, frame: &Frame<'_>) -> Result<(), FrameError> {
         let Frame { agents, tasks, available, .. } = *frame;
+        if tasks > TASKS {
+            return Err(FrameError::TooLarge);
+        }
         // To stay, and to head for each subtask.
         if available.len() != agents * (1 + tasks) {
             return Err(FrameError::BadLength);
         }
-        self.scene = Scene::default();
-        self.scene.vehicles.resize(agents, Standing::default());
+        // Should no row show the depot, it is the last subtask, as everywhere.
+        let depot = tasks.saturating_sub(1) as u8;
+        let vehicles = alloc::vec![Standing::default(); agents];
+        self.scene = Scene { vehicles, depot, tasks, ..Scene::default() };
         for entity in members(frame.present) {
             let row = row(frame, entity)?;
             let at = [f64::from(row[X]), f64::from(row[X + 1])];

@@ -34,6 +34,8 @@ pub(super) struct Scene {
     pub(super) waiting: Vec<(u8, [f64; 2])>,
     /// The subtask of going home.
     pub(super) depot: u8,
+    /// Number of subtasks, of which all those above are.
+    pub(super) tasks: usize,
 }
 
 /// A vehicle that waits for what it is to do.
@@ -56,6 +58,7 @@ impl Scene {
             vehicles: (0..layout.vehicles).map(standing).collect(),
             waiting: tour.waiting().map(|at| (layout.task_of(at) as u8, place(at))).collect(),
             depot: layout.task_of(0) as u8,
+            tasks: layout.customers + 1,
         }
     }
 
@@ -97,9 +100,9 @@ impl Scene {
     }
 
     fn hungarian(&self, goals: &mut [u8]) {
-        let (agents, tasks) = (self.vehicles.len(), usize::from(self.depot) + 1);
+        let (agents, tasks) = (self.vehicles.len(), self.tasks);
         let mut ways = alloc::vec![f32::INFINITY; agents * tasks];
-        for (vehicle, ways) in self.vehicles.iter().zip(ways.chunks_exact_mut(tasks)) {
+        for (vehicle, ways) in self.vehicles.iter().zip(ways.chunks_exact_mut(tasks.max(1))) {
             for (task, at) in self.waiting.iter().filter(|(task, _)| vehicle.may(*task)) {
                 ways[usize::from(*task)] = distance(vehicle.at, *at) as f32;
             }

@@ -261,8 +261,44 @@ fn frames_that_show_no_tour_are_refused() {
         rows[12 * entity + column] = value;
         assert_eq!(read(&Frame { rows: &rows, ..frame }), Err(refusal));
     }
+    let many = vec![1; 4 * 34];
+    assert_eq!(read(&Frame { tasks: 33, available: &many, ..frame }), Err(FrameError::TooLarge));
     reader.read(&frame).unwrap();
     assert_eq!(reader.allocate(0, &mut generator(0), &mut [0; 3]), Err(FrameError::BadLength));
+}
+
+/// Rows that no routing has: nothing is given but what is open and available.
+#[test]
+fn rules_stand_frames_without_a_depot_with_several_and_without_subtasks() {
+    let mut routing = opened("9", &[]);
+    routing.reset(0, &mut generator(5));
+    let (mut rows, available, seen) = told(&*routing, &saved(&*routing));
+    let (present, open_tasks) = (seen.present, seen.open_tasks);
+    let frame = Frame {
+        rows: &rows.clone(),
+        stride: 12,
+        agents: 4,
+        tasks: 16,
+        present: present & !(1 << 19),
+        open_tasks,
+        available: &available,
+    };
+    // The first customer is a depot as well.
+    rows[4 * 12 + 1..][..2].copy_from_slice(&[0.0, 1.0]);
+    let vehicles = Frame { tasks: 0, present: 0b1111, open_tasks: 0, available: &[1; 4], ..frame };
+    let of_two = Frame { rows: &rows, present: present & !(1 << 19), ..frame };
+    for (frame, given) in [(frame, true), (of_two, true), (vehicles, false)] {
+        for rule in 0..rules::RULES.len() {
+            let (mut reader, mut allocation) = (frames::reader(), [0; 4]);
+            reader.read(&frame).unwrap();
+            reader.allocate(rule, &mut generator(0), &mut allocation).unwrap();
+            let offered = |(agent, task): (usize, &u8)| {
+                *task == UNASSIGNED || available[agent * 17 + 1 + usize::from(*task)] != 0
+            };
+            assert!(allocation.iter().enumerate().all(offered), "{allocation:?}");
+            assert_eq!(allocation.iter().any(|task| *task != UNASSIGNED), given, "{rule}");
+        }
+    }
 }
 
 /// All vehicles leave at once, to the customers that are nearest to them together.
