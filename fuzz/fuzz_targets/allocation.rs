@@ -53,7 +53,7 @@ impl CostModel for Repeat {
 fuzz_target!(|bytes: &[u8]| {
     let mut input = Input(bytes);
     let (agents, tasks, team_max) = (input.up_to(66), input.up_to(33), input.up_to(5));
-    let (entities, stride) = (input.up_to(130), 5 + input.up_to(9));
+    let (entities, stride) = (input.up_to(130), 5 + input.up_to(14));
     let exact_agents = input.up_to(11);
     let numbers: Vec<f32> = (0..1 + input.up_to(30)).map(|_| input.float()).collect();
     let entity_task: Vec<u32> = (0..entities).map(|_| input.word() as u32).collect();

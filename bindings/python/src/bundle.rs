@@ -8,13 +8,14 @@ use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use serde_json::{Value, json};
 use sortie_bundle::hex;
+use sortie_core::allocate::PointingMemory;
 use sortie_core::allocate::proposals::PROPOSALS;
 use sortie_core::plan::{AlignedBytes, Network, PlanError, Profile};
 use sortie_core::{DecideError, Decision, Observation, PlanPolicy, Policy, limits};
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, policy_by_agent, user_cache};
 
 use crate::arrays::array;
-use crate::bundle_allocator::{Asked, How, Observations, allocate};
+use crate::bundle_allocator::{Asked, How, Observations, allocate, point};
 use crate::compiler::{carried, program, to_python};
 use crate::errors::{exceptions, within, words};
 use crate::owned_plan::OwnedPlan;
@@ -26,6 +27,8 @@ pub(crate) struct Bundle {
     /// The plan of all agents, or one for each of the bundle's graphs.
     agents: Vec<OwnedPlan>,
     allocator: Option<OwnedPlan>,
+    /// An allocator that points, in place of one plan.
+    pointing: Option<Mutex<PointingMemory>>,
     working: Mutex<Working>,
 }
 
@@ -84,7 +87,8 @@ impl Bundle {
 
     /// The subtask of every agent `[A]` that the team's allocator gives it, -1 for none.
     #[pyo3(signature = (
-        entities, agents, entity_tasks, open_tasks, *, present=None, relation=None, proposals=None, seed=0
+        entities, agents, entity_tasks, open_tasks, *, present=None, available=None, relation=None, proposals=None,
+        seed=0
     ))]
     #[expect(clippy::too_many_arguments, reason = "they are Python's, most by name")]
     fn allocate<'py>(
@@ -94,11 +98,20 @@ impl Bundle {
         entity_tasks: &Bound<'py, PyAny>,
         open_tasks: &Bound<'py, PyAny>,
         present: Option<&Bound<'py, PyAny>>,
+        available: Option<&Bound<'py, PyAny>>,
         relation: Option<&Bound<'py, PyAny>>,
         proposals: Option<usize>,
         seed: u64,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let asked = Asked { entities, agents, entity_tasks, open_tasks, present, relation };
+        let asked =
+            Asked { entities, agents, entity_tasks, open_tasks, present, available, relation };
+        if let Some(pointing) = &self.pointing {
+            if relation.is_some() || proposals.is_some() {
+                let words = "the allocator points at subtasks by entities alone: without `relation` and `proposals`";
+                return Err(self.refusal(words));
+            }
+            return point(&self.bundle, pointing, &asked);
+        }
         let Some(plan) = &self.allocator else {
             return Err(self.refusal("the team has learned no allocator"));
         };
@@ -150,8 +163,15 @@ impl Bundle {
             None => plans.allocator(&bundle)?,
         };
         let allocator = allocator.map(OwnedPlan::load).transpose()?;
+        let pointing = plans.pointing(&bundle)?.map(Mutex::new);
         let memory = vec![0.0; limits::AGENTS * hidden];
-        Ok(Self { bundle, agents, allocator, working: Mutex::new(Working { arenas, memory }) })
+        Ok(Self {
+            bundle,
+            agents,
+            allocator,
+            pointing,
+            working: Mutex::new(Working { arenas, memory }),
+        })
     }
 
     fn refusal(&self, words: &str) -> PyErr {

@@ -1,13 +1,15 @@
 //! What a team's agents see, read from arrays, and the allocator that it learned: its network, and the search of the best
 //! allocation.
 
+use std::sync::{Mutex, PoisonError};
+
 use numpy::PyUntypedArrayMethods;
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use sortie_bundle::{Bundle, ContractV1, OwnedAllocationState};
 use sortie_core::allocate::{
-    EXACT_AGENTS, LastAllocation, PlanTeamValue, ProposalAllocator, SearchMemory, TaskRelation,
-    TeamValueAllocator, exact,
+    EXACT_AGENTS, LastAllocation, PlanTeamValue, PointingMemory, ProposalAllocator, SearchMemory,
+    TaskRelation, TeamValueAllocator, exact,
 };
 use sortie_core::plan::{AlignedBytes, PlanError};
 use sortie_core::{
@@ -29,6 +31,7 @@ pub(crate) struct Asked<'a, 'py> {
     pub(crate) entity_tasks: &'a Bound<'py, PyAny>,
     pub(crate) open_tasks: &'a Bound<'py, PyAny>,
     pub(crate) present: Option<&'a Bound<'py, PyAny>>,
+    pub(crate) available: Option<&'a Bound<'py, PyAny>>,
     pub(crate) relation: Option<&'a Bound<'py, PyAny>>,
 }
 
@@ -73,9 +76,9 @@ pub(crate) fn allocate<'py>(
     how: How,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = asked.entities.py();
-    let features = bundle.contract().features.into();
+    let features = usize::from(bundle.contract().features);
     let columns = plan.plan().header().features as usize;
-    let state = asked.state(features)?;
+    let state = asked.state(bundle.contract())?;
     let relation = match how {
         How::Search => columns.saturating_sub(features + FLAGS),
         How::Propose { .. } => 0,
@@ -86,6 +89,32 @@ pub(crate) fn allocate<'py>(
         How::Search => search(plan, &state, relation, team_max),
         How::Propose { proposals, seed } => propose(plan, &state, proposals, seed),
     });
+    subtasks(py, allocation)
+}
+
+/// Allocates by an allocator that points.
+pub(crate) fn point<'py>(
+    bundle: &Bundle,
+    memory: &Mutex<PointingMemory>,
+    asked: &Asked<'_, 'py>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let (py, contract) = (asked.entities.py(), bundle.contract());
+    if asked.available.is_none() {
+        return Err(PyValueError::new_err(format!(
+            "the allocator offers agents what their actions lead to: give `available` [{}, {}]",
+            asked.agents, contract.actions
+        )));
+    }
+    let state = asked.state(contract)?;
+    let allocation = py.detach(|| {
+        let mut memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
+        allocation_of(&mut memory.bind().map_err(|error| words(&error))?, &state)
+    });
+    subtasks(py, allocation)
+}
+
+/// Numbers of subtasks, -1 for none.
+fn subtasks(py: Python<'_>, allocation: Result<Vec<u8>, String>) -> PyResult<Bound<'_, PyAny>> {
     let allocation = allocation.map_err(exceptions::DecideError::new_err)?;
     let task = |task: &u8| if *task == UNASSIGNED { -1 } else { i64::from(*task) };
     let allocation: Vec<i64> = allocation.iter().map(task).collect();
@@ -93,7 +122,8 @@ pub(crate) fn allocate<'py>(
 }
 
 impl Asked<'_, '_> {
-    fn state(&self, features: usize) -> PyResult<OwnedAllocationState> {
+    fn state(&self, contract: &ContractV1) -> PyResult<OwnedAllocationState> {
+        let (features, actions) = (contract.features.into(), contract.actions.into());
         let (rows, count) = rows(self.entities, features)?;
         let tasks = self.open_tasks.len()?;
         if tasks > limits::TASKS || self.agents > count.min(limits::AGENTS) {
@@ -116,7 +146,10 @@ impl Asked<'_, '_> {
             _ => entity_tasks.chunks(tasks).map(bits).collect(),
         };
         let (agents, open_tasks) = (self.agents, bits(&open));
-        let available = Vec::new();
+        let available = match self.available {
+            Some(available) => mask("available", available, &[agents, actions])?,
+            None => Vec::new(),
+        };
         Ok(OwnedAllocationState {
             agents,
             tasks,

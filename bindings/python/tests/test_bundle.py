@@ -13,6 +13,7 @@ from sortie import _compiler
 
 MODELS = ROOT / "models"
 PROPOSING = ROOT / "tests/golden/proposing-team"
+POINTING = "routing"
 # Agents that run options decide by three networks, and are not bound.
 OPTIONS = MODELS / "crafting-iron"
 TEAMS = sorted(path.name for path in MODELS.iterdir() if path != OPTIONS)
@@ -91,6 +92,25 @@ def test_every_recorded_state_gets_its_allocation(name):
         if case["agents"] <= EXACT_AGENTS:
             assert allocation[here].tolist() == [want[agent] for agent in here]
         assert set(allocation[here].tolist()) <= {-1, *case["open_tasks"]}
+
+
+def test_every_recorded_state_of_an_allocator_that_points_gets_its_allocation():
+    bundle = opened(POINTING)
+    contract = bundle.inspect()["contract"]
+    allocated = set()
+    for case in json.loads((MODELS / POINTING / "golden.json").read_text())["allocations"]:
+        state, present = state_of(case, contract)
+        available = np.array([flags(actions, contract["actions"]) for actions in case["available"]])
+        allocation = bundle.allocate(*state, present=present, available=available)
+        assert allocation.tolist() == [-1 if task is None else task for task in case["allocation"]]
+        allocated |= set(allocation.tolist())
+    assert len(allocated) > 5
+    with pytest.raises(ValueError, match=r"give `available` \[4, 17\]"):
+        bundle.allocate(*state, present=present)
+    with pytest.raises(ValueError, match="without `relation` and `proposals`"):
+        bundle.allocate(*state, present=present, available=available, proposals=8)
+    with pytest.raises(ValueError, match=r"`available` has the shape \[4, 3\]"):
+        bundle.allocate(*state, present=present, available=np.ones((4, 3), bool))
 
 
 @pytest.fixture

@@ -288,7 +288,7 @@ fn proposals_never_touch_the_heap() {
 
 #[test]
 fn pointing_never_touches_the_heap() {
-    let rows: Vec<f32> = (0..60).map(|number| (number % 5) as f32 / 4.0 - 0.5).collect();
+    let rows: Vec<f32> = (0..70).map(|number| (number % 5) as f32 / 4.0 - 0.5).collect();
     let mut arena = Aligned([0; arena_bytes(ENCODER) + arena_bytes(DECODER)]);
     let plans = || [ENCODER, DECODER].map(|plan| Plan::load(plan).expect("a golden plan"));
     let [encoder, decoder] = plans();
@@ -298,7 +298,7 @@ fn pointing_never_touches_the_heap() {
         agents: 2,
         tasks: 3,
         rows: &rows,
-        stride: 12,
+        stride: 14,
         present: EntityMask::first(5),
         entity_task: &[1, 0, 4, 1, 2],
         open_tasks: 0b111,

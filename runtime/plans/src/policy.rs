@@ -54,8 +54,9 @@ pub fn roles_of(bundle: &Bundle) -> Result<Option<PolicyOptions>, CompileError> 
 
 /// What encoder and decoder of an allocator that points are compiled as: they choose no action, and no input is a mask of those.
 pub fn pointing_policies() -> [PolicyOptions; 2] {
-    ["tables", "scores"].map(|output| PolicyOptions {
-        outputs: vec![format!("{output}:continuous")],
+    let of_encoder = ["tables", "keys", "values", "points"];
+    [&of_encoder[..], &["scores"]].map(|outputs| PolicyOptions {
+        outputs: outputs.iter().map(|output| format!("{output}:continuous")).collect(),
         states: vec!["none".to_owned()],
         available: Some("none".to_owned()),
         ..PolicyOptions::default()

@@ -125,6 +125,7 @@ class Bundle:
         open_tasks: ArrayLike,
         *,
         present: ArrayLike | None = None,
+        available: ArrayLike | None = None,
         relation: ArrayLike | None = None,
         proposals: int | None = None,
         seed: int = 0,
@@ -132,8 +133,9 @@ class Bundle:
         """The subtask of every agent `[A]`, -1 for none.
 
         `entity_tasks` `[N, T]` says which entity belongs to which subtask (agents: their last allocation),
-        `open_tasks` `[T]` which are to be done, `present` `[N]` what exists, `relation` `[T, N, F]` what the
-        environment knows of an entity and a subtask. An allocator that proposes draws `proposals` allocations (1 to 256,
+        `open_tasks` `[T]` which are to be done, `present` `[N]` what exists, `available` `[A, U]` which actions there
+        are, which an allocator that points has to know, `relation` `[T, N, F]` what the environment knows of an entity
+        and a subtask. An allocator that proposes draws `proposals` allocations (1 to 256,
         by default 32; 1 is the most probable one) by noise from `seed`, and takes the one it values most.
         """
 

@@ -17,7 +17,7 @@ const ARENA: usize = {
 /// Agents and subtasks of the network, columns of a row, and of a subtask's row.
 const AGENTS: usize = 4;
 const TASKS: usize = 16;
-const FEATURES: usize = 12;
+const FEATURES: usize = 14;
 const FIXED: usize = 7;
 /// Subtasks for all; each of the others is for one agent alone, as long as its action is available.
 const SHARED: u32 = 1 << 15;

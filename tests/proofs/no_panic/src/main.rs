@@ -195,15 +195,15 @@ fn propose() -> Option<bool> {
 fn point() -> Option<bool> {
     let plans = [Plan::load(black_box(ENCODER)).ok()?, Plan::load(black_box(DECODER)).ok()?];
     let mut arena = Aligned([0; arena_bytes(ENCODER) + arena_bytes(DECODER)]);
-    let mut memory = [0.0; 2600];
+    let mut memory = [0.0; 2700];
     let rules = black_box(PointingRules { exclusive: 0b01, first_action: 0 });
     let (arena, memory) = (black_box(&mut arena.0), black_box(&mut memory));
     let mut allocator = PointingAllocator::new(plans, rules, arena, memory).ok()?;
     let state = black_box(AllocationState {
         agents: 3,
         tasks: 2,
-        rows: &[0.5; 60],
-        stride: 12,
+        rows: &[0.5; 70],
+        stride: 14,
         present: EntityMask::from_words(&[0b11_101]),
         entity_task: &[0, 0, 0, 1, 2],
         open_tasks: 0b11,

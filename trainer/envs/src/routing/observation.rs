@@ -8,7 +8,7 @@ use super::tour::Tour;
 use crate::observation::{EntitySet, Observation, members};
 use crate::rows::SparseRows;
 
-pub(super) const FEATURES: [&str; 12] = [
+pub(super) const FEATURES: [&str; 14] = [
     "vehicle",
     "customer",
     "depot",
@@ -21,6 +21,8 @@ pub(super) const FEATURES: [&str; 12] = [
     "at the depot",
     "served",
     "demand that waits",
+    "trips to come",
+    "trips to come after going home",
 ];
 /// Columns of what rows show.
 pub(super) const VEHICLE: usize = 0;
@@ -32,7 +34,7 @@ pub(super) const AT_DEPOT: usize = 9;
 /// So many columns, the first ones, stay as they are: all that tells instances apart.
 pub(super) const FIXED: usize = 7;
 /// Most of them that differ from zero in one row: a vehicle's.
-pub(super) const ROW_ENTRIES: usize = 8;
+pub(super) const ROW_ENTRIES: usize = 10;
 /// Symmetries of the square.
 pub(super) const TURNS: usize = 8;
 
@@ -163,6 +165,8 @@ fn write_vehicle(tour: &Tour, number: usize, turn: usize, rows: &mut SparseRows)
     rows.push_unless_zero(8, f32::from(tour.room(number)) / capacity);
     rows.push_unless_zero(AT_DEPOT, f32::from(u8::from(vehicle.at == 0)));
     write_waiting(tour, rows);
+    rows.push_unless_zero(12, f32::from(tour.trips_to_come(None)));
+    rows.push_unless_zero(13, f32::from(tour.trips_to_come(Some(number))));
 }
 
 fn write_place(tour: &Tour, place: usize, turn: usize, rows: &mut SparseRows) {

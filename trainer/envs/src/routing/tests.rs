@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 
 use super::environment::Routing;
-use super::observation::Layout;
+use super::observation::{FEATURES, Layout};
 use super::*;
 use crate::decisions::UNASSIGNED;
 use crate::random::generator;
@@ -207,7 +207,7 @@ fn rules_give_the_same_from_a_state_and_from_its_rows() {
                     told(&*routing, &state);
                 let frame = Frame {
                     rows: &rows,
-                    stride: 12,
+                    stride: FEATURES.len(),
                     agents: 4,
                     tasks: 16,
                     present,
@@ -239,7 +239,7 @@ fn frames_that_show_no_tour_are_refused() {
     let (rows, available, Observation { present, .. }) = told(&*routing, &saved(&*routing));
     let frame = Frame {
         rows: &rows,
-        stride: 12,
+        stride: FEATURES.len(),
         agents: 4,
         tasks: 16,
         present,
@@ -258,7 +258,7 @@ fn frames_that_show_no_tour_are_refused() {
         (4, 1, 0.0, FrameError::BadRow { entity: 4 }),
     ] {
         let mut rows = rows.clone();
-        rows[12 * entity + column] = value;
+        rows[FEATURES.len() * entity + column] = value;
         assert_eq!(read(&Frame { rows: &rows, ..frame }), Err(refusal));
     }
     let many = vec![1; 4 * 34];
@@ -276,7 +276,7 @@ fn rules_stand_frames_without_a_depot_with_several_and_without_subtasks() {
     let (present, open_tasks) = (seen.present, seen.open_tasks);
     let frame = Frame {
         rows: &rows.clone(),
-        stride: 12,
+        stride: FEATURES.len(),
         agents: 4,
         tasks: 16,
         present: present & !(1 << 19),
@@ -284,7 +284,7 @@ fn rules_stand_frames_without_a_depot_with_several_and_without_subtasks() {
         available: &available,
     };
     // The first customer is a depot as well.
-    rows[4 * 12 + 1..][..2].copy_from_slice(&[0.0, 1.0]);
+    rows[4 * FEATURES.len() + 1..][..2].copy_from_slice(&[0.0, 1.0]);
     let vehicles = Frame { tasks: 0, present: 0b1111, open_tasks: 0, available: &[1; 4], ..frame };
     let of_two = Frame { rows: &rows, present: present & !(1 << 19), ..frame };
     for (frame, given) in [(frame, true), (of_two, true), (vehicles, false)] {
@@ -369,6 +369,22 @@ fn a_vehicle_leaves_the_depot_while_nobody_is_outside() {
 }
 
 #[test]
+fn rows_tell_how_often_vehicles_still_have_to_leave() {
+    let mut random = generator(1);
+    let mut routing = playing(in_a_row(4, 10), TOGETHER);
+    let trips = |routing: &Routing| {
+        let (rows, ..) = told(routing, &saved(routing));
+        rows.chunks_exact(FEATURES.len()).take(4).map(|row| [row[12], row[13]]).collect::<Vec<_>>()
+    };
+    // Demands are 5 each.
+    assert_eq!(trips(&routing), [[2.0, 2.0]; 4]);
+    routing.step(0, &[0, 2, 0, 0], &mut random).unwrap();
+    assert_eq!(trips(&routing), [[1.0, 1.0], [1.0, 2.0], [1.0, 1.0], [1.0, 1.0]]);
+    routing.step(0, &[0, 4, 0, 0], &mut random).unwrap();
+    assert_eq!(trips(&routing), [[1.0, 1.0]; 4], "it is full");
+}
+
+#[test]
 fn while_learning_waves_after_the_first_cost_something() {
     let return_of = |split, set: &str| {
         let mut routing = open(&format!("routing/{set}"), split, 1, &settings(&[])).unwrap();
@@ -392,14 +408,14 @@ fn symmetries_turn_the_square_and_nothing_else() {
         let mut seen = Observation::default();
         routing.observe(&state, turn, EntitySet::MAX, &mut seen);
         let mut dense = Vec::new();
-        seen.rows.write_all(12, &mut dense);
+        seen.rows.write_all(FEATURES.len(), &mut dense);
         dense
     };
     let plain = rows(0);
     let mut shown = vec![plain.clone()];
     for turn in 1..8 {
         let turned = rows(turn);
-        for (one, other) in plain.chunks(12).zip(turned.chunks(12)) {
+        for (one, other) in plain.chunks(FEATURES.len()).zip(turned.chunks(FEATURES.len())) {
             assert_eq!((&one[..3], &one[5..]), (&other[..3], &other[5..]));
             let middle = |row: &[f32]| (row[3] - 0.5).hypot(row[4] - 0.5);
             assert!((middle(one) - middle(other)).abs() < 1e-6);

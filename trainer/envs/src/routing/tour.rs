@@ -82,6 +82,16 @@ impl Tour {
         self.instance.capacity - self.vehicles[vehicle].load
     }
 
+    /// Times that vehicles have to leave the depot at least before all customers are served, if those that are outside load
+    /// all that they have room for, but for one that goes home at once.
+    pub(super) fn trips_to_come(&self, home: Option<usize>) -> u16 {
+        let demand: u16 = self.waiting().map(|place| u16::from(self.instance.demands[place])).sum();
+        let outside = (0..self.vehicles.len())
+            .filter(|vehicle| self.is_out(*vehicle) && Some(*vehicle) != home);
+        let room: u16 = outside.map(|vehicle| u16::from(self.room(vehicle))).sum();
+        demand.saturating_sub(room).div_ceil(u16::from(self.instance.capacity))
+    }
+
     /// How far it is from a vehicle to a place.
     pub(super) fn way(&self, vehicle: usize, place: usize) -> f64 {
         self.instance.distance(self.vehicles[vehicle].at.into(), place)

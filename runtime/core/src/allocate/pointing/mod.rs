@@ -32,11 +32,11 @@ pub struct PointingRules {
 
 /// Sizes of the two networks.
 ///
-/// The encoder takes rows `[T, fixed]` of subtasks and which of them there are `[T]`, and gives tables `[T, table]`. The decoder
-/// takes a [description](Round::describe) `[3 d + 1 + fixed]`, what the table of the subtask that the agent had last holds for
-/// it `[own]` (the last columns), of the other agents [descriptions](Round::describe_other) `[A - 1, d + 1]` and what the
-/// tables of theirs hold for them `[A - 1, given]` (the columns from `given` to twice that), which subtasks are left and which
-/// of the other agents there are `[T + A - 1]`, and the tables, and gives scores `[T]`.
+/// The encoder takes rows `[T, fixed]` of subtasks and which of them there are `[T]`, and gives tables `[T, table]` and three
+/// more tensors. The decoder takes a [description](Round::describe) `[3 d + 1 + fixed]`, what the table of the subtask that the
+/// agent had last holds for it `[own]` (the last columns), of the other agents [descriptions](Round::describe_other)
+/// `[A - 1, d + 1]` and what the tables of theirs hold for them `[A - 1, given]` (the first columns), which subtasks are left and
+/// which of the other agents there are `[T + A - 1]`, and the three tensors, and gives scores `[T]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Sizes {
     tasks: usize,
@@ -46,14 +46,15 @@ struct Sizes {
     others: usize,
     given: usize,
     table: usize,
+    looked_at: [usize; 3],
 }
 
 impl Sizes {
     /// None where the plans are no such networks.
     fn of(encoder: &Plan<'_>, decoder: &Plan<'_>) -> Option<Self> {
         let [subtasks, tasks] = all(encoder.inputs())?;
-        let [encoded] = all(encoder.outputs())?;
-        let [context, own, rows, given, seen, tables] = all(decoder.inputs())?;
+        let [tables, made @ ..]: [usize; 4] = all(encoder.outputs())?;
+        let [context, own, rows, given, seen, looked_at @ ..]: [usize; 8] = all(decoder.inputs())?;
         let others = seen.checked_sub(tasks)?;
         let [scores] = all(decoder.outputs())?;
         let sizes = Self {
@@ -64,11 +65,12 @@ impl Sizes {
             others,
             given: given.checked_div(others)?,
             table: tables.checked_div(tasks)?,
+            looked_at,
         };
-        let wanted = [sizes.context(), tasks, tasks * sizes.table, encoded];
-        let fits = wanted == [context, scores, encoded, tables]
+        let fits = [sizes.context(), tasks] == [context, scores]
+            && made == looked_at
             && sizes.fixed <= sizes.columns
-            && sizes.given.saturating_mul(2) <= sizes.table
+            && sizes.given <= sizes.table
             && sizes.own <= sizes.table
             && tasks <= limits::TASKS
             && others < limits::AGENTS;
@@ -80,13 +82,16 @@ impl Sizes {
     }
 
     /// Of the parts of the [`Memory`], in their order.
-    fn parts(&self) -> [usize; 9] {
-        let Self { tasks, fixed, columns, own, others, given, table } = *self;
-        let context = self.context();
+    fn parts(&self) -> [usize; 12] {
+        let Self { tasks, fixed, columns, own, others, given, table, .. } = *self;
+        let (context, [keys, values, points]) = (self.context(), self.looked_at);
         [
             tasks * fixed,
             tasks,
             tasks * table,
+            keys,
+            values,
+            points,
             context,
             own,
             others * (columns + 1),
@@ -112,6 +117,9 @@ struct Memory<'a> {
     subtasks: &'a mut [f32],
     present: &'a mut [f32],
     tables: &'a mut [f32],
+    keys: &'a mut [f32],
+    values: &'a mut [f32],
+    points: &'a mut [f32],
     context: &'a mut [f32],
     own: &'a mut [f32],
     others: &'a mut [f32],
@@ -128,11 +136,15 @@ impl<'a> Memory<'a> {
             rest = behind;
             Some(part)
         });
-        let [subtasks, present, tables, context, own, others, given, seen, scores] = parts;
+        let [subtasks, present, tables, keys, values, points, rest @ ..] = parts;
+        let [context, own, others, given, seen, scores] = rest;
         Some(Self {
             subtasks: subtasks?,
             present: present?,
             tables: tables?,
+            keys: keys?,
+            values: values?,
+            points: points?,
             context: context?,
             own: own?,
             others: others?,
@@ -217,8 +229,9 @@ impl<'a> PointingAllocator<'a> {
     /// Fills the tables, unless they are those of the subtasks.
     fn encode(&mut self) -> Result<(), DecideError> {
         if !self.encoded {
-            let Memory { subtasks, present, tables, .. } = &mut self.memory;
-            self.encoder.respond(self.arena, &[subtasks, present], &mut [], &mut [tables])?;
+            let Memory { subtasks, present, tables, keys, values, points, .. } = &mut self.memory;
+            let outputs: &mut [&mut [f32]] = &mut [tables, keys, values, points];
+            self.encoder.respond(self.arena, &[subtasks, present], &mut [], outputs)?;
             self.encoded = true;
         }
         Ok(())
@@ -241,10 +254,10 @@ impl<'a> PointingAllocator<'a> {
             row_mut(memory.seen, sizes.tasks + place, 1).fill(1.0);
             let described = row_mut(memory.others, place, sizes.columns + 1);
             round.describe_other(agent, other, described);
-            replace(row_mut(memory.given, place, sizes.given), table(other).skip(sizes.given));
+            replace(row_mut(memory.given, place, sizes.given), table(other));
         }
-        let Memory { context, own, others, given, seen, tables, scores, .. } = memory;
-        let inputs: [&[f32]; 6] = [context, own, others, given, seen, tables];
+        let Memory { context, own, others, given, seen, keys, values, points, scores, .. } = memory;
+        let inputs: [&[f32]; 8] = [context, own, others, given, seen, keys, values, points];
         self.decoder.respond(self.arena, &inputs, &mut [], &mut [&mut *scores])?;
         let mut best = (options.trailing_zeros() as u8, f32::NEG_INFINITY);
         for task in members(options) {
