@@ -46,7 +46,7 @@ fn weights(folder: &Path) -> Vec<u8> {
 #[test]
 fn routes_of_a_few_customers_are_learned() {
     let setup =
-        setup("routing/4-sequential", &["run.steps=60000", "optimiser.learning_rate=0.003"]);
+        setup("routing/4-sequential", &["run.steps=150000", "optimiser.learning_rate=0.003"]);
     let folder = tempfile::tempdir().unwrap();
     let mut session = begin(setup.clone(), 1, 2, folder.path()).unwrap();
     session.run(&mut (), &AtomicBool::new(false)).unwrap();
