@@ -26,6 +26,7 @@ pub mod methods;
 pub mod npz;
 pub mod output;
 pub mod policy;
+mod record;
 mod replay;
 mod reproduce;
 pub mod run;

@@ -4,6 +4,7 @@ use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
 
+use sortie_core::allocate::proposals::fingerprint;
 use sortie_core::allocate::{
     EXACT_AGENTS, PlanTeamValue, SearchMemory, TaskRelation, TeamValueAllocator, TeamValueNetwork,
     exact,
@@ -11,20 +12,20 @@ use sortie_core::allocate::{
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
 use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask, limits};
 use sortie_envs::random::generator;
-use sortie_envs::{Entry, Frame, FrameError, FrameReader, Random};
+use sortie_envs::{Entry, Frame, FrameError, FrameReader};
 
 /// A rule of allocation.
 pub struct RuleAllocator {
     reader: Box<dyn FrameReader>,
     rule: usize,
-    random: Random,
+    seed: u64,
 }
 
 impl RuleAllocator {
-    /// The rule of this number; `seed` matters to rules that draw. None where the environment reads no frames.
+    /// The rule of this number; rules that draw do so by `seed` and the state, not by what was asked before. None where the environment reads no frames.
     pub fn new(entry: &Entry, rule: usize, seed: u64) -> Option<Self> {
         let rule = Some(rule).filter(|rule| *rule < entry.rules.len())?;
-        Some(Self { reader: entry.reader?(), rule, random: generator(seed) })
+        Some(Self { reader: entry.reader?(), rule, seed })
     }
 }
 
@@ -36,7 +37,8 @@ impl Allocator for RuleAllocator {
     ) -> Result<(), AllocateError> {
         state.check(allocation)?;
         let read = self.reader.read(&frame(state));
-        read.and_then(|()| self.reader.allocate(self.rule, &mut self.random, allocation))
+        let mut random = generator(self.seed ^ fingerprint(state, state.stride));
+        read.and_then(|()| self.reader.allocate(self.rule, &mut random, allocation))
             .map_err(refusal)
     }
 }

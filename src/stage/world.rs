@@ -138,15 +138,18 @@ fn entity_mask(set: EntitySet) -> EntityMask {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use sortie_core::{
         AllocateError, AllocationState, Allocator, DecideError, Decision, Observation as Own,
         Policy,
     };
     use sortie_envs::random::generator;
-    use sortie_envs::{ENVIRONMENTS, Split};
+    use sortie_envs::{ENVIRONMENTS, Entry, Split};
     use sortie_ipc::{DomainContract, InProcess, Stop, WorldSettings, run_in_process};
 
     use super::*;
+    use crate::RuleAllocator;
 
     /// Takes the last available action of so many, or always the first, which is to stop.
     struct Last(usize, bool);
@@ -199,7 +202,7 @@ mod tests {
         name: &str,
         seed: u64,
         episodes: u32,
-        allocator: Option<&mut Counts>,
+        allocator: Option<&mut dyn Allocator>,
     ) -> EnvironmentWorld {
         let environment = sortie_envs::open(name, Split::Train, 1, &Default::default());
         let mut world = EnvironmentWorld::new(environment.expect("it opens"), generator(seed));
@@ -216,7 +219,6 @@ mod tests {
         };
         let settings = WorldSettings { episodes: Some(episodes), ..WorldSettings::default() };
         let mut policy = Last(actions, allocator.is_some());
-        let allocator = allocator.map(|counts| counts as &mut dyn Allocator);
         let team = InProcess { world: &mut world, policy: &mut policy, allocator };
         run_in_process(team, &contract, &settings, &mut (), &Stop::default())
             .expect("the episodes are played");
@@ -246,6 +248,40 @@ mod tests {
         let mut counts = Counts(8);
         play_under("skirmish/8s-disadvantage", 5, 3, Some(&mut counts));
         assert!(counts.0 < 8, "some die");
+    }
+
+    /// A rule that has been asked before, beside one that has not.
+    struct Anew {
+        entry: &'static Entry,
+        rule: usize,
+        asked: RuleAllocator,
+        given: BTreeSet<Vec<u8>>,
+    }
+
+    impl Allocator for Anew {
+        fn allocate(
+            &mut self,
+            state: &AllocationState<'_>,
+            allocation: &mut [u8],
+        ) -> Result<(), AllocateError> {
+            let mut anew = RuleAllocator::new(self.entry, self.rule, 5).expect("the rule");
+            anew.allocate(state, allocation)?;
+            let again = &mut allocation.to_vec();
+            self.asked.allocate(state, again)?;
+            assert_eq!(again, allocation);
+            self.given.insert(allocation.to_vec());
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn rules_that_draw_do_so_by_the_state_and_not_by_what_was_asked_before() {
+        let entry = ENVIRONMENTS.iter().find(|entry| entry.name == "save-the-city").expect("it");
+        let rule = entry.rules.iter().position(|rule| rule.name == "random").expect("it draws");
+        let asked = RuleAllocator::new(entry, rule, 5).expect("the rule");
+        let mut anew = Anew { entry, rule, asked, given: BTreeSet::new() };
+        play_under("save-the-city", 5, 2, Some(&mut anew));
+        assert!(anew.given.len() > 5, "other states, other draws");
     }
 
     #[test]

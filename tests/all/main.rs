@@ -24,6 +24,7 @@ mod plans;
 mod producers;
 mod proposals;
 mod published;
+mod record;
 mod replay;
 mod reproduce;
 mod runs;

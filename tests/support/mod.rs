@@ -29,6 +29,14 @@ pub(crate) fn sortie(arguments: &[&str]) -> Command {
     command
 }
 
+/// The Python that has what tests compare with.
+pub(crate) fn python() -> PathBuf {
+    match std::env::var_os("VIRTUAL_ENV") {
+        Some(folder) => Path::new(&folder).join("bin/python"),
+        None => PathBuf::from("python3"),
+    }
+}
+
 /// Runs to the end.
 pub(crate) fn output(arguments: &[&str]) -> Output {
     sortie(arguments).output().expect("the command line starts")

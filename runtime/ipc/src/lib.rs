@@ -27,8 +27,8 @@ pub use doorbell::Doorbell;
 pub use error::Error;
 pub use in_process::{InProcess, run_in_process};
 pub use iox::{
-    AnyThread, ControlRx, FrameNews, Housekeeping, InterProcess, IntraProcess, IoxAgent,
-    IoxAllocator, IoxControl, IoxWatcher, IoxWorld, LinkService, LinkSetup,
+    AnyThread, ControlRx, FrameNews, Heard, Housekeeping, InterProcess, IntraProcess, IoxAgent,
+    IoxAllocator, IoxControl, IoxRecorder, IoxWatcher, IoxWorld, LinkService, LinkSetup,
 };
 pub use policy::{
     Action, ClientCounters, ClientSettings, Engine, Expected, Fallback, PolicyClient, PolicySchema,

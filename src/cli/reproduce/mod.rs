@@ -1,6 +1,7 @@
 //! `sortie reproduce`: figures and tables of the dissertation, learned and measured anew.
 
 mod recipe;
+mod solvers;
 
 use std::path::{Path, PathBuf};
 
@@ -170,7 +171,8 @@ fn reproduce(figure: &Figure, arguments: &ReproduceArguments) -> Outcome {
     learn(&parts, &stop, arguments.common)?;
     measure_again(figure, &parts, &stop, arguments.common)?;
     let groups = groups(figure, &parts)?;
-    let came = came(figure, &seeds, &groups)?;
+    let mut came = came(figure, &seeds, &groups)?;
+    came.solvers = solvers::beside(figure, &folder, arguments.common)?;
     let files = write(figure, &folder, &came, &groups)?;
     if arguments.common.json {
         print_json(&came);
@@ -255,7 +257,7 @@ fn came<'a>(figure: &'a Figure, seeds: &'a [u64], groups: &[Group]) -> Result<Ca
     }
     let cpu_s = rows.iter().map(|row| row.cpu_s.mean * seeds.len() as f64).sum();
     let Figure { name, about, why, .. } = figure;
-    Ok(Came { figure: name, about, why, seeds, rows, cpu_s })
+    Ok(Came { figure: name, about, why, seeds, rows, solvers: Vec::new(), cpu_s })
 }
 
 /// Writes table and pictures; how many files.
@@ -322,6 +324,18 @@ fn print(came: &Came<'_>) {
         table.row(cells);
     }
     table.print();
+    let mut solvers = Table::of_text(&["solver", "by the shortest", "ms an instance", "unsolved"]);
+    for it in &came.solvers {
+        solvers.row([
+            it.solver.clone(),
+            format!("{:.4} ± {:.4}", it.over_optimum, it.ci95),
+            format!("{:.1}", it.milliseconds),
+            it.unsolved.to_string(),
+        ]);
+    }
+    if !came.solvers.is_empty() {
+        solvers.print();
+    }
     say!("{:.0} seconds of processor time in all runs", came.cpu_s);
 }
 
@@ -356,8 +370,15 @@ mod tests {
             cpu_s: spread(1.0),
         };
         let rows = vec![row("one"), row("other")];
-        let came =
-            Came { figure: "f", about: "two numbers", why: "", seeds: &[1], rows, cpu_s: 2.0 };
+        let came = Came {
+            figure: "f",
+            about: "two numbers",
+            why: "",
+            seeds: &[1],
+            rows,
+            solvers: Vec::new(),
+            cpu_s: 2.0,
+        };
         let picture = drawn(figure, &came).expect("a picture");
         for name in ["early", "late"] {
             assert_eq!(picture.matches(name).count(), 1, "{name}");

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use sortie_learn::report::{FinalResult, RunRecord, Spread};
 use sortie_learn::session::Setup;
 
+use super::solvers::Solver;
 use crate::eval::EvalArguments;
 use crate::failure::{Exit, Failure};
 use crate::seeds::SeedRange;
@@ -47,6 +48,9 @@ pub(super) struct Figure {
     pub(super) measures: Vec<Measure>,
     #[serde(default)]
     pub(super) methods: Vec<Method>,
+    /// Words of `benches/routes.py`, which measures solvers of others; none: there are none beside this figure.
+    #[serde(default)]
+    pub(super) solvers: String,
 }
 
 /// How much of it can be redone.
@@ -241,6 +245,7 @@ pub(super) struct Came<'a> {
     pub(super) why: &'a str,
     pub(super) seeds: &'a [u64],
     pub(super) rows: Vec<Row<'a>>,
+    pub(super) solvers: Vec<Solver>,
     /// Processor time of all runs, their evaluations while learning included.
     pub(super) cpu_s: f64,
 }
@@ -342,6 +347,18 @@ impl Came<'_> {
             "\nMean ± standard deviation over the seeds {first} to {last}, and their range in brackets; {:.0} seconds of processor time. {}\n\n",
             self.cpu_s, self.why
         );
+        if !self.solvers.is_empty() {
+            text += "| solver | length by the shortest | ms an instance | unsolved |\n| --- | --- | --- | --- |\n";
+        }
+        for it in &self.solvers {
+            let Solver { solver, over_optimum, ci95, milliseconds, unsolved } = it;
+            text += &format!(
+                "| {solver} | {over_optimum:.4} ± {ci95:.4} | {milliseconds:.1} | {unsolved} |\n"
+            );
+        }
+        if !self.solvers.is_empty() {
+            text += "\nSolvers of others on one core, from Python: the mean and its 95 % interval, and the median time.\n\n";
+        }
         text += "```sh\n";
         for row in &self.rows {
             text += &format!("sortie train {}\n", row.command);

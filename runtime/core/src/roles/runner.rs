@@ -49,6 +49,8 @@ pub struct RunnerRole {
     gaps_told: u64,
     warmed_term: u32,
     allocation: NewestAllocation,
+    /// Its model is another one since the last answer, so that nothing is remembered of the episode.
+    is_another: bool,
     /// The newest decision tick whose allocation did not come in time: it is not waited for again.
     given_up: Option<u64>,
     actions: u64,
@@ -68,6 +70,7 @@ impl RunnerRole {
             gaps_told: 0,
             warmed_term: 0,
             allocation: NewestAllocation::default(),
+            is_another: false,
             given_up: None,
             actions: 0,
             presence: Presence::default(),
@@ -95,9 +98,11 @@ impl RunnerRole {
         self.options.agents = agents;
     }
 
-    /// Its model is another one from now on.
+    /// Its model is another one from now on, or the same one loaded anew: the next answers say that it remembers nothing, if
+    /// it is one that remembers.
     pub fn change_model(&mut self, model: [u8; 16]) {
         self.options.identity.model = model;
+        self.is_another = true;
     }
 
     /// Takes the seats: announces the runner to the world.
@@ -183,7 +188,8 @@ impl RunnerRole {
             if let Some(until_ns) = self.awaits_allocation(&view, running_ns) {
                 return Ok(Poll::Wait { until_ns });
             }
-            let is_reset = self.count_gaps(&view) && policy.begin_episode();
+            let is_another = core::mem::take(&mut self.is_another);
+            let is_reset = (self.count_gaps(&view) || is_another) && policy.begin_episode();
             let in_force = self.in_force(&view, heuristic);
             let mut answers = Vec::new();
             self.decide(&view, policy, &in_force, (running_ns, link), &mut answers);

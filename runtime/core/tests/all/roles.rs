@@ -427,6 +427,25 @@ fn memory_is_cleared_where_an_episode_begins() {
 }
 
 #[test]
+fn memory_that_another_model_emptied_is_announced_once() {
+    let mut stage = Stage::new();
+    let mut role = stage.runner_role(0);
+    let mut flags = |count: u64, remembers: bool, is_another: bool| {
+        if is_another {
+            role.change_model([7; 16]);
+        }
+        stage.send(count, 0, FrameHeader::PIPELINED_ALLOC, 1_000);
+        let mut link = stage.team.agent(&mut stage.runner);
+        role.poll(&mut link, &mut Two { remembers }).unwrap();
+        stage.answers()[0].flags & ActionMsg::STATE_RESET
+    };
+    flags(1, true, false);
+    assert_eq!(flags(2, true, true), ActionMsg::STATE_RESET);
+    assert_eq!(flags(3, true, false), 0);
+    assert_eq!(flags(4, false, true), 0, "nothing to forget");
+}
+
+#[test]
 fn a_runner_that_is_there_says_so_ten_times_a_second() {
     let mut stage = Stage::new();
     let mut role = stage.runner_role(0);

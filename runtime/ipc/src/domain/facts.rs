@@ -120,6 +120,11 @@ impl DomainFacts {
         self.period_ns
     }
 
+    /// The first 16 bytes of the id of the team's bundle, hexadecimal.
+    pub fn model(&self) -> &str {
+        &self.model
+    }
+
     /// How the domain's processes wake each other.
     pub fn bell(&self) -> BellKind {
         self.bell

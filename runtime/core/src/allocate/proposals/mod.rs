@@ -127,7 +127,9 @@ impl Allocator for ProposalAllocator<'_> {
         allocation: &mut [u8],
     ) -> Result<(), AllocateError> {
         state.check(allocation)?;
-        let mut draw = GumbelDraw { seed: self.seed ^ fingerprint(state, self.plan.header()) };
+        let mut draw = GumbelDraw {
+            seed: self.seed ^ fingerprint(state, self.plan.header().features as usize),
+        };
         let proposals = self.propose(state, &mut draw)?;
         let best = proposals.best().unwrap_or(0);
         for (to, place) in allocation.iter_mut().zip(proposals.allocation(best)) {
@@ -189,9 +191,9 @@ impl<D: Draw> Work for Proposing<'_, '_, D> {
     }
 }
 
-/// A number that depends on everything that the networks look at, so that other states get other noise, and the same
-/// state the same noise whoever computes it.
-fn fingerprint(state: &AllocationState<'_>, header: &crate::plan::Header) -> u64 {
+/// A number that depends on subtasks, entities and the first `columns` features of each, so that other states get other noise,
+/// and the same state the same noise whoever computes it and whatever it has computed before.
+pub fn fingerprint(state: &AllocationState<'_>, columns: usize) -> u64 {
     let mut word = [state.open_tasks, state.agents as u32];
     let mut mix = |value: u32| {
         let [low, high] = word;
@@ -201,7 +203,7 @@ fn fingerprint(state: &AllocationState<'_>, header: &crate::plan::Header) -> u64
     for (entity, (row, tasks)) in rows {
         if state.present.contains(entity) {
             mix(*tasks ^ (entity as u32) << 24);
-            for feature in row.iter().take(header.features as usize) {
+            for feature in row.iter().take(columns) {
                 mix(feature.to_bits());
             }
         }

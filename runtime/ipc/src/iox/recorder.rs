@@ -1,0 +1,126 @@
+//! The link of who records: all that is said in a domain. Nothing is said by it, and nobody waits for it.
+
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+use sortie_core::link::{LinkError, Wake};
+use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, Role, StatMsg};
+use zerocopy::IntoBytes;
+
+use super::bell::LinkBell;
+use super::open::{Receiver, drain};
+use super::opener::{FrameReceiver, Opener};
+use super::services::{
+    self, ActionPayload, AllocPayload, Block, FrameHeaderPayload, LinkSetup, Message, StatPayload,
+};
+use super::{InterProcess, LinkService};
+use crate::error::Error;
+
+/// A message of a domain.
+#[derive(Clone, Copy, Debug)]
+pub enum Heard<'a> {
+    /// What the world showed.
+    Frame(&'a FrameHeader, &'a [u8]),
+    /// What an allocator decided.
+    Allocation(&'a AllocMsg),
+    /// What a runner answered for an agent.
+    Action(&'a ActionMsg),
+    /// What a process said of itself.
+    Status(&'a StatMsg),
+}
+
+/// The same, kept.
+enum Kept<S: LinkService> {
+    Frame(Sample<S, [Block], FrameHeaderPayload>),
+    Allocation(AllocMsg),
+    Action(ActionMsg),
+    Status(Box<StatMsg>),
+}
+
+impl<S: LinkService> Kept<S> {
+    fn heard(&self) -> Heard<'_> {
+        match self {
+            Self::Frame(sample) => {
+                let header = sample.user_header().message();
+                // Blocks are whole: what is behind the payload is not part of it.
+                let payload = sample.payload().as_bytes();
+                let used = payload.len().min(header.len as usize);
+                Heard::Frame(header, &payload[..used])
+            }
+            Self::Allocation(message) => Heard::Allocation(message),
+            Self::Action(message) => Heard::Action(message),
+            Self::Status(message) => Heard::Status(message),
+        }
+    }
+
+    /// When it was sent. All clocks of a domain are one.
+    fn t_ns(&self) -> u64 {
+        match self.heard() {
+            Heard::Frame(header, _) => header.t_ns,
+            Heard::Allocation(message) => message.t_ns,
+            Heard::Action(message) => message.t_ns,
+            Heard::Status(message) => message.t_ns,
+        }
+    }
+}
+
+/// Hears all that is said in a domain.
+pub struct IoxRecorder<S: LinkService = InterProcess> {
+    frames: FrameReceiver<S>,
+    allocations: Receiver<S, AllocPayload>,
+    actions: Receiver<S, ActionPayload>,
+    statuses: Receiver<S, StatPayload>,
+    kept: Vec<Kept<S>>,
+    /// That of runners, which is rung for every frame and allocation.
+    bell: LinkBell<S>,
+    /// Dropped last.
+    _node: Node<S>,
+}
+
+impl<S: LinkService> IoxRecorder<S> {
+    /// Opens all topics to listen. Where frames are private there are whole ones only if somebody allocates.
+    ///
+    /// # Errors
+    /// Shared memory cannot be used, or the domain runs another schema.
+    pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
+        let opener = Opener::new(setup)?;
+        Ok(Self {
+            frames: opener.frame_receiver(None)?,
+            allocations: opener.receiver(services::allocations)?,
+            actions: opener.receiver(services::actions)?,
+            statuses: opener.receiver(services::statuses)?,
+            kept: Vec::new(),
+            bell: LinkBell::open(&opener, Role::Runner, &[])?,
+            _node: opener.into_node(),
+        })
+    }
+
+    /// All that was said since the last call, in the order in which it was sent. Who does not ask within two ticks misses
+    /// some of it; numbers of messages (`seq`) show what.
+    ///
+    /// # Errors
+    /// A topic failed.
+    pub fn receive(&mut self, take: &mut dyn FnMut(Heard<'_>)) -> Result<(), LinkError> {
+        let Self { frames, allocations, actions, statuses, kept, .. } = self;
+        // No more may be held at once; others are there at the next call.
+        for _ in 0..services::frames(0).borrow {
+            let Some(sample) = frames.receive().map_err(|_| LinkError::Frames)? else { break };
+            kept.push(Kept::Frame(sample));
+        }
+        drain(allocations, LinkError::Allocations, &mut |it| kept.push(Kept::Allocation(*it)))?;
+        drain(actions, LinkError::Actions, &mut |it| kept.push(Kept::Action(*it)))?;
+        drain(statuses, LinkError::Statuses, &mut |it| kept.push(Kept::Status(Box::new(*it))))?;
+        kept.sort_by_key(Kept::t_ns);
+        kept.drain(..).for_each(|kept| take(kept.heard()));
+        Ok(())
+    }
+
+    /// The state of the bell, to be taken before a look.
+    pub fn token(&self) -> u32 {
+        self.bell.token()
+    }
+
+    /// Sleeps until a frame or an allocation comes, or until then.
+    pub fn wait_until(&mut self, token: u32, until_ns: u64) -> Wake {
+        self.bell.wait(token, None, until_ns)
+    }
+}

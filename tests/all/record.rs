@@ -1,0 +1,124 @@
+//! What a running team says is written down, and others can read it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use crate::support::{
+    BUNDLE, TestDomain, assert_fails, json, output, python, sortie, stderr, wait_until,
+};
+
+/// Starts a team that plays until it is told to end.
+fn team(domain: &TestDomain) -> Child {
+    let mut up =
+        sortie(&["up", BUNDLE, "--domain", &domain.id, "--quiet", "--isolate", "--rate", "100"]);
+    let up = up.stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+    let up = up.expect("the command line starts");
+    wait_until("everybody is there", || {
+        let told = output(&["control", "info", "--domain", &domain.id, "--json"]);
+        let answer: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap_or_default();
+        answer["processes"].as_array().is_some_and(|processes| processes.len() == 8)
+    });
+    up
+}
+
+fn shut_down(domain: &TestDomain, mut up: Child) {
+    json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
+    assert_eq!(up.wait().expect("its status").code(), Some(0));
+    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+/// What helps where Python has no reader.
+const NO_MCAP: &str = "records are read by others: `.ci/install python`, then `export VIRTUAL_ENV=$PWD/target/python/venv`";
+
+/// Messages by topic, as the format's own reader counts them, and the ticks of `/tick`.
+fn read_by_others(file: &Path) -> (BTreeMap<String, u64>, Vec<serde_json::Value>) {
+    const SCRIPT: &str = "
+import collections, json, sys
+from mcap.reader import make_reader
+counts, ticks = collections.Counter(), []
+with open(sys.argv[1], 'rb') as file:
+    for schema, channel, message in make_reader(file).iter_messages():
+        counts[channel.topic] += 1
+        if channel.topic == '/tick':
+            ticks.append(json.loads(message.data))
+print(json.dumps([counts, ticks]))
+";
+    let read = Command::new(python()).args(["-c", SCRIPT]).arg(file).output().expect("Python");
+    assert!(read.status.success(), "{}{NO_MCAP}", stderr(&read));
+    serde_json::from_slice(&read.stdout).expect("JSON")
+}
+
+#[test]
+fn a_team_at_work_is_recorded_and_others_read_it() {
+    let domain = TestDomain::new("record");
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("run.mcap");
+    let name = file.to_str().expect("a name");
+    let up = team(&domain);
+    let record = ["record", BUNDLE, "--output", name, "--domain", &domain.id, "--ticks", "300"];
+    let told = json(&[&record[..], &["--json"]].concat());
+    assert_eq!((&told["ticks"], &told["missed"]), (&300.into(), &0.into()), "{told}");
+    let [running, bytes] = ["bytes_running", "bytes"].map(|key| told[key].as_u64().expect(key));
+    // The bundle, of a megabyte, stays as it is.
+    assert!(bytes < running / 3 * 2, "{told}");
+    assert_fails(&output(&record), 2, &["is there already", "--output"]);
+    let other = folder.path().join("other.mcap");
+    let other = ["record", "models/routing", "--output", other.to_str().expect("a name")];
+    let refused = output(&[&other[..], &["--domain", &domain.id]].concat());
+    assert_fails(&refused, 78, &["is not the team's bundle"]);
+    shut_down(&domain, up);
+
+    let (counts, ticks) = read_by_others(&file);
+    assert!(counts["/frame"] >= 300 && counts["/status"] > 0, "{counts:?}");
+    assert_eq!(ticks.len(), 300);
+    let numbers: Vec<u64> = ticks.iter().filter_map(|tick| tick["tick"].as_u64()).collect();
+    assert!(numbers.is_sorted_by(|one, next| one + 1 == *next), "{numbers:?}");
+    // Of agents that exist each answers every frame but an episode's last, the first and the last recorded frame apart.
+    let is_amid = |tick: &&serde_json::Value| tick["ends"] == false;
+    let answered = ticks[1..299].iter().filter(is_amid).map(|tick| {
+        let agents = tick["agents"].as_array().expect("agents");
+        assert!(agents.iter().all(|agent| agent["late"] == false || agent["late"] == true));
+        agents.len()
+    });
+    let answered: Vec<usize> = answered.collect();
+    assert!(answered.iter().all(|agents| (2..=5).contains(agents)), "{answered:?}");
+    let of_ticks: usize =
+        ticks.iter().map(|tick| tick["agents"].as_array().map_or(0, Vec::len)).sum();
+    assert!(counts["/action"] >= of_ticks as u64, "{counts:?}");
+    let allocated = ticks.iter().filter(|tick| tick["allocation"][0].is_u64()).count();
+    assert!(allocated > 250 && counts["/allocation"] > 20, "{counts:?}");
+}
+
+#[test]
+fn a_record_whose_writer_was_killed_is_finished_and_read() {
+    let domain = TestDomain::new("record-killed");
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("run.mcap");
+    let name = file.to_str().expect("a name");
+    assert_fails(
+        &output(&["record", "--output", name, "--domain", &domain.id]),
+        69,
+        &["no world has started in domain"],
+    );
+    let up = team(&domain);
+    for _ in 0..3 {
+        let mut recorder = sortie(&["record", "--output", name, "--domain", &domain.id, "--quiet"]);
+        let mut recorder = recorder.stdout(Stdio::null()).spawn().expect("it starts");
+        wait_until("it records", || {
+            std::fs::metadata(&file).is_ok_and(|file| file.len() > 200_000)
+        });
+        recorder.kill().expect("it lives");
+        recorder.wait().expect("its status");
+        let told = json(&["record", "--finish", name, "--json"]);
+        let messages = told["messages"].as_u64().expect("a count");
+        let (counts, ticks) = read_by_others(&file);
+        assert_eq!(counts.values().sum::<u64>(), messages, "{told}");
+        let frames = counts["/frame"] as usize;
+        assert!(ticks.len() + 1 >= frames.saturating_sub(1), "{} of {frames}", ticks.len());
+        assert!(output(&["record", "--finish", name]).status.success());
+        std::fs::remove_file(&file).expect("it is there");
+    }
+    shut_down(&domain, up);
+    assert_fails(&output(&["record", "--finish", "Cargo.toml"]), 65, &["no record"]);
+}
