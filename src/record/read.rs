@@ -1,6 +1,6 @@
 //! Reading from front to back, with chunks or without.
 
-use std::io::{BufRead, Read};
+use std::io::Read;
 
 use lz4_flex::frame::FrameDecoder;
 
@@ -84,12 +84,14 @@ pub struct Reader<R> {
     /// Where the last one began.
     began: u64,
     content: Vec<u8>,
+    /// The footer was read.
+    is_over: bool,
     /// The chunk that is being read, and how far it was.
     chunk: Vec<u8>,
     inside: usize,
 }
 
-impl<R: BufRead> Reader<R> {
+impl<R: Read> Reader<R> {
     /// Begins to read.
     ///
     /// # Errors
@@ -101,7 +103,7 @@ impl<R: BufRead> Reader<R> {
             return Err(RecordError::NotARecord);
         }
         let (at, content, chunk) = (MAGIC.len() as u64, Vec::new(), Vec::new());
-        Ok(Self { from, at, began: at, content, chunk, inside: 0 })
+        Ok(Self { from, at, began: at, content, is_over: false, chunk, inside: 0 })
     }
 
     /// The next record; none at the end of the file. What chunks hold comes in its order.
@@ -140,18 +142,19 @@ impl<R: BufRead> Reader<R> {
 
     /// Reads a record of the file: what it is.
     fn read(&mut self) -> Result<Option<u8>, RecordError> {
-        let begins = self.from.fill_buf()?;
-        // Behind the footer stands what stands before the header.
-        if begins.is_empty() || begins == MAGIC {
-            return Ok(None);
-        }
         self.began = self.at;
         let torn = RecordError::Torn { at: self.at };
         let mut head = Vec::new();
-        self.from.by_ref().take(9).read_to_end(&mut head)?;
+        // Behind the footer stands what stands before the header.
+        let most = if self.is_over { 0 } else { 9 };
+        self.from.by_ref().take(most).read_to_end(&mut head)?;
+        if head.is_empty() {
+            return Ok(None);
+        }
         let (Some(opcode), Some(length)) = (head.first(), head.get(1..9)) else {
             return Err(torn);
         };
+        self.is_over = *opcode == opcode::FOOTER;
         let length = length.iter().rev().fold(0, |sum, byte| sum << 8 | u64::from(*byte));
         self.content.clear();
         self.from.by_ref().take(length).read_to_end(&mut self.content)?;
