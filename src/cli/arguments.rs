@@ -15,8 +15,8 @@ use crate::output::say;
 use crate::terminal::Color;
 use crate::tools::{self, prefer_tools};
 use crate::{
-    Program, compare, control, doctor, eval, export, inspect, record, replay, reproduce, run,
-    serve, train, view,
+    Program, compare, control, doctor, eval, export, inspect, record, remake, replay, reproduce,
+    run, serve, train, view,
 };
 
 const EXIT_CODES: &str = "\
@@ -108,6 +108,7 @@ pub(crate) enum Verb {
     Control(control::ControlArguments),
     Doctor(doctor::DoctorArguments),
     Record(record::RecordArguments),
+    Remake(remake::RemakeArguments),
     Eval(eval::EvalArguments),
     Replay(replay::ReplayArguments),
     Train(train::TrainArguments),
@@ -138,6 +139,7 @@ pub(crate) fn dispatch(program: &Program, asked: Asked) -> Outcome {
         Verb::Control(arguments) => control::run(&arguments),
         Verb::Doctor(arguments) => doctor::run(&arguments),
         Verb::Record(arguments) => record::run(&arguments),
+        Verb::Remake(arguments) => remake::run(&arguments),
         Verb::Eval(arguments) => eval::run(&arguments),
         Verb::Replay(arguments) => replay::run(&arguments),
         Verb::Train(arguments) => train::run(&arguments),

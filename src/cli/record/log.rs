@@ -32,6 +32,8 @@ pub(super) struct Log<W: Write> {
     writer: Writer<W>,
     /// What is added to a time of the domain's clock to have one since 1970.
     ahead_ns: u64,
+    /// When the last message was read.
+    now_ns: u64,
     ticks: Ticks,
     /// The last number of each sender, by its channel.
     last: HashMap<(u16, u32), u64>,
@@ -54,7 +56,7 @@ impl<W: Write> Log<W> {
         writer.add_attachment(["domain.toml", "application/toml"], ahead_ns, text.as_bytes());
         let agents = facts.shape().agents;
         let (ticks, last) = (Ticks::new(agents), HashMap::new());
-        Ok(Self { writer, ahead_ns, ticks, last, missed: 0 })
+        Ok(Self { writer, ahead_ns, now_ns: 0, ticks, last, missed: 0 })
     }
 
     /// A file that the record brings along.
@@ -65,27 +67,28 @@ impl<W: Write> Log<W> {
 
     /// Adds a message that was read at this time of the domain's clock. Returns whether the team ends with it.
     pub(super) fn add(&mut self, heard: Heard<'_>, now_ns: u64) -> bool {
+        self.now_ns = now_ns;
         match heard {
             Heard::Frame(header, payload) => {
-                self.end_tick(now_ns);
+                self.end_tick();
                 self.ticks.begin(header);
                 let parts: [&[u8]; 2] = [header.as_bytes(), payload];
-                self.message(FRAME, (header.world_term, header.seq), header.t_ns, now_ns, &parts);
+                self.message(FRAME, (header.world_term, header.seq), header.t_ns, &parts);
                 return header.has(FrameHeader::SHUTDOWN);
             }
             Heard::Allocation(it) => {
                 self.ticks.allocate(it);
-                self.message(ALLOCATION, (it.term, it.seq), it.t_ns, now_ns, &[it.as_bytes()]);
+                self.message(ALLOCATION, (it.term, it.seq), it.t_ns, &[it.as_bytes()]);
             }
             Heard::Action(it) => {
                 self.ticks.act(it);
-                self.message(ACTION, (it.runner, it.seq), it.t_ns, now_ns, &[it.as_bytes()]);
+                self.message(ACTION, (it.runner, it.seq), it.t_ns, &[it.as_bytes()]);
             }
             Heard::Status(it) => {
                 if !self.last.contains_key(&(STATUS, it.pid)) {
                     self.introduce(it);
                 }
-                self.message(STATUS, (it.pid, it.seq), it.t_ns, now_ns, &[it.as_bytes()]);
+                self.message(STATUS, (it.pid, it.seq), it.t_ns, &[it.as_bytes()]);
             }
         }
         false
@@ -96,7 +99,6 @@ impl<W: Write> Log<W> {
         channel: u16,
         (sender, number): (u32, u64),
         sent_ns: u64,
-        now_ns: u64,
         parts: &[&[u8]],
     ) {
         if let Some(last) = self.last.insert((channel, sender), number) {
@@ -105,7 +107,7 @@ impl<W: Write> Log<W> {
         let message = Message {
             channel,
             sequence: number as u32,
-            log_time: now_ns.saturating_add(self.ahead_ns),
+            log_time: self.now_ns.saturating_add(self.ahead_ns),
             publish_time: sent_ns.saturating_add(self.ahead_ns),
         };
         self.writer.add_message(message, parts);
@@ -126,12 +128,12 @@ impl<W: Write> Log<W> {
         self.writer.add_metadata(&format!("process/{}", status.pid), &entries);
     }
 
-    fn end_tick(&mut self, now_ns: u64) {
+    fn end_tick(&mut self) {
         let Some((tick, sent_ns, line)) = self.ticks.end() else { return };
         let message = Message {
             channel: TICK,
             sequence: tick as u32,
-            log_time: now_ns.saturating_add(self.ahead_ns),
+            log_time: self.now_ns.saturating_add(self.ahead_ns),
             publish_time: sent_ns.saturating_add(self.ahead_ns),
         };
         self.writer.add_message(message, &[line.as_bytes()]);
@@ -155,7 +157,7 @@ impl<W: Write> Log<W> {
     /// Ends the record, with what was missed.
     pub(super) fn end(mut self) -> io::Result<W> {
         let (ticks, missed) = (self.ticks(), self.missed.to_string());
-        self.end_tick(0);
+        self.end_tick();
         let told = [("ticks", ticks.to_string()), ("missed", missed)];
         self.writer.add_metadata("sortie.record", &told);
         self.writer.end()

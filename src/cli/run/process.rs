@@ -157,7 +157,7 @@ fn act(
 }
 
 /// The rule that every runner falls back to, where the contract says so. It draws nothing: all find the same.
-fn fallback(bundle: &Bundle) -> Result<Option<RuleAllocator>, Failure> {
+pub(crate) fn fallback(bundle: &Bundle) -> Result<Option<RuleAllocator>, Failure> {
     if bundle.contract().fallback_allocation != FallbackAllocation::Heuristic {
         return Ok(None);
     }

@@ -1,0 +1,173 @@
+//! What a record holds: the domain, its bundle, who was there, and all messages again and again.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File};
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use sortie_bundle::Bundle;
+use sortie_core::plan::AlignedBytes;
+use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, StatMsg};
+use sortie_ipc::DomainFacts;
+use sortie_record::{Reader, Record, RecordError};
+use zerocopy::FromBytes;
+
+use crate::deployment::open_bundle;
+use crate::failure::{Exit, Failure};
+
+/// A frame as it was sent.
+pub(super) struct Shown {
+    pub(super) header: FrameHeader,
+    /// At an address as views of it want.
+    pub(super) payload: AlignedBytes,
+}
+
+/// What a record tells again.
+pub(super) enum Told {
+    Frame(Shown),
+    Action(ActionMsg),
+    Allocation(AllocMsg),
+}
+
+/// A record, read once to know what is in it.
+pub(super) struct Contents {
+    path: PathBuf,
+    pub(super) facts: DomainFacts,
+    /// Who allocates, as the world says.
+    pub(super) allocation: Option<String>,
+    /// Processes that answered.
+    pub(super) runners: BTreeSet<u32>,
+    /// Those whose network runs in an engine.
+    pub(super) engines: BTreeSet<u32>,
+    pub(super) frames: u64,
+    /// The bundle's files, if the record has them.
+    attached: Option<tempfile::TempDir>,
+}
+
+impl Contents {
+    /// Reads all of it once.
+    pub(super) fn read(path: &Path) -> Result<Self, Failure> {
+        let (mut domain, mut attached) = (None, None);
+        let (mut runners, mut engines, mut frames) = (BTreeSet::new(), BTreeSet::new(), 0);
+        let mut topics = Topics::default();
+        each(path, &mut |record| {
+            match record {
+                Record::Attachment { name: "domain.toml", data } => {
+                    domain = Some(String::from_utf8_lossy(data).into_owned());
+                }
+                Record::Attachment { name, data } => {
+                    if let Some(name) = name.strip_prefix("bundle/") {
+                        keep(&mut attached, name, data)?;
+                    }
+                }
+                Record::Message(message, data) => match topics.of(message.channel) {
+                    Some("/frame") => frames += 1,
+                    Some("/action") => drop(runners.insert(read::<ActionMsg>(data)?.runner)),
+                    Some("/status") => {
+                        let status: StatMsg = read(data)?;
+                        if status.has(StatMsg::GRAPH) {
+                            engines.insert(status.pid);
+                        }
+                    }
+                    _ => {}
+                },
+                other => topics.learn(&other),
+            }
+            Ok(())
+        })?;
+        let none = || bad(path, "it is no record of a team: it brings no `domain.toml`");
+        let domain = domain.ok_or_else(none)?;
+        let table: toml::Table = toml::from_str(&domain).map_err(|error| bad(path, error))?;
+        let allocation = table.get("allocation").and_then(toml::Value::as_str).map(str::to_owned);
+        let facts: DomainFacts = toml::from_str(&domain).map_err(|error| bad(path, error))?;
+        let path = path.to_owned();
+        Ok(Self { path, facts, allocation, runners, engines, frames, attached })
+    }
+
+    /// The bundle that the record brings along.
+    pub(super) fn bundle(&self) -> Result<Bundle, Failure> {
+        let folder = self.attached.as_ref().ok_or_else(|| {
+            let advice = "name the team's by --bundle, or record with it: sortie record BUNDLE";
+            bad(&self.path, format!("it brings no bundle along; {advice}"))
+        })?;
+        open_bundle(folder.path())
+    }
+
+    /// Tells all frames, actions and allocations, in their order.
+    pub(super) fn replay(&self, tell: &mut dyn FnMut(Told)) -> Result<(), Failure> {
+        let mut topics = Topics::default();
+        each(&self.path, &mut |record| {
+            let Record::Message(message, data) = record else {
+                topics.learn(&record);
+                return Ok(());
+            };
+            match topics.of(message.channel) {
+                Some("/frame") => {
+                    let (header, payload) = FrameHeader::read_from_prefix(data)
+                        .map_err(|_| "a frame is shorter than its head".to_owned())?;
+                    let payload = AlignedBytes::copy_of(payload);
+                    tell(Told::Frame(Shown { header, payload }));
+                }
+                Some("/action") => tell(Told::Action(read(data)?)),
+                Some("/allocation") => tell(Told::Allocation(read(data)?)),
+                _ => {}
+            }
+            Ok(())
+        })
+    }
+}
+
+/// A message of a fixed layout.
+fn read<T: FromBytes>(data: &[u8]) -> Result<T, String> {
+    T::read_from_bytes(data).map_err(|_| format!("a message has {} bytes", data.len()))
+}
+
+/// Keeps a file of the bundle. Names have no folder in them: a record of others could put files anywhere else.
+fn keep(folder: &mut Option<tempfile::TempDir>, name: &str, data: &[u8]) -> Result<(), String> {
+    if folder.is_none() {
+        *folder = Some(tempfile::tempdir().map_err(|error| error.to_string())?);
+    }
+    let is_plain = Path::new(name).file_name().is_some_and(|plain| plain == name);
+    match folder {
+        Some(folder) if is_plain => {
+            fs::write(folder.path().join(name), data).map_err(|error| error.to_string())
+        }
+        _ => Err(format!("`{name}` is no name of a file")),
+    }
+}
+
+/// The names of channels.
+#[derive(Default)]
+struct Topics(Vec<(u16, String)>);
+
+impl Topics {
+    fn learn(&mut self, record: &Record<'_>) {
+        if let Record::Channel { id, topic, .. } = record {
+            self.0.push((*id, (*topic).to_owned()));
+        }
+    }
+
+    fn of(&self, channel: u16) -> Option<&str> {
+        self.0.iter().find(|(id, _)| *id == channel).map(|(_, topic)| &**topic)
+    }
+}
+
+/// Shows every part of a record to `take`, up to where it was cut off.
+fn each(
+    path: &Path,
+    take: &mut dyn FnMut(Record<'_>) -> Result<(), String>,
+) -> Result<(), Failure> {
+    let file = File::open(path).map_err(|error| Failure::file(path, &error))?;
+    let mut reader = Reader::new(BufReader::new(file)).map_err(|error| bad(path, error))?;
+    loop {
+        match reader.next() {
+            Ok(Some(record)) => take(record).map_err(|reason| bad(path, reason))?,
+            Ok(None) | Err(RecordError::Torn { .. }) => return Ok(()),
+            Err(error) => return Err(bad(path, error)),
+        }
+    }
+}
+
+fn bad(path: &Path, reason: impl std::fmt::Display) -> Failure {
+    Failure::new(Exit::BadData, format!("{}: {reason}", path.display()))
+}

@@ -1,0 +1,130 @@
+//! `sortie remake`: the decisions of a record made again, from the record alone.
+
+mod contents;
+mod playback;
+mod roles;
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+use sortie_bundle::Bundle;
+
+use crate::allocation::AllocatorChoice;
+use crate::allocator::{DeployedAllocator, ProposalArguments};
+use crate::deployment::open_bundle;
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::{Common, plural, print_json, say};
+use crate::policy::{Backend, DeployedPolicy};
+use crate::run::process::fallback;
+use contents::Contents;
+use roles::{Difference, Made, Roles, Team};
+
+/// Make every decision of a record again, and name the first that comes out otherwise
+///
+/// Each action and allocation of a team that was recorded is decided anew, from the frames and by the bundle that the record
+/// brings along: the same to the last bit of its utility, whatever machine it was recorded on. Decisions of another bundle, of
+/// a network that ran in an engine, or about frames that the record lacks, are counted and not made. Exit code 1 where one
+/// differs.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie remake run.mcap
+  sortie remake run.mcap --bundle models/save-the-city --json")]
+pub(crate) struct RemakeArguments {
+    /// The record, as `sortie record` writes it
+    record: PathBuf,
+    /// Bundle that decided [default: the one that the record brings along]
+    #[arg(long, value_name = "FOLDER")]
+    bundle: Option<PathBuf>,
+    #[command(flatten)]
+    proposals: ProposalArguments,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// What came of it, for scripts.
+#[derive(Serialize)]
+struct Remade<'a> {
+    record: &'a Path,
+    frames: u64,
+    #[serde(flatten)]
+    made: Made,
+    first_difference: Option<&'a Difference>,
+}
+
+pub(crate) fn run(arguments: &RemakeArguments) -> Outcome {
+    let contents = Contents::read(&arguments.record)?;
+    let bundle = match &arguments.bundle {
+        Some(folder) => open_bundle(folder)?,
+        None => contents.bundle()?,
+    };
+    let (made, differences) = remake(&contents, &bundle, arguments)?;
+    report(arguments, &contents, made, &differences)
+}
+
+/// Decides all of it again.
+fn remake(
+    contents: &Contents,
+    bundle: &Bundle,
+    arguments: &RemakeArguments,
+) -> Result<(Made, Vec<Difference>), Failure> {
+    let runners = contents.runners.iter();
+    let policies = runners.map(|_| DeployedPolicy::open(bundle, Backend::Plan));
+    let mut policies = policies.collect::<Result<Vec<_>, _>>()?;
+    let mut fallback = fallback(bundle)?;
+    let seed = arguments.common.seed;
+    let choice = contents.allocation.as_deref().map(choice).transpose()?;
+    let draws = (seed, arguments.proposals);
+    let mut allocator = DeployedAllocator::open_for(bundle, choice, Backend::Plan, draws)?;
+    let team = Team {
+        policies: policies.iter_mut().map(DeployedPolicy::team).collect::<Result<_, _>>()?,
+        fallback: fallback.as_mut(),
+        allocator: allocator.as_mut().map(DeployedAllocator::allocator).transpose()?,
+    };
+    let mut roles = Roles::new(contents, bundle, team);
+    contents.replay(&mut |message| roles.hear(message))?;
+    Ok(roles.end())
+}
+
+fn choice(name: &str) -> Result<AllocatorChoice, Failure> {
+    AllocatorChoice::from_str(name, false).map_err(|_| {
+        Failure::new(
+            Exit::BadData,
+            format!("the record's domain allocates by `{name}`, which is unknown here"),
+        )
+    })
+}
+
+fn report(
+    arguments: &RemakeArguments,
+    contents: &Contents,
+    made: Made,
+    differences: &[Difference],
+) -> Outcome {
+    let first_difference = differences.first();
+    if arguments.common.json {
+        let (record, frames) = (&*arguments.record, contents.frames);
+        print_json(&Remade { record, frames, made, first_difference });
+    } else {
+        let [actions, allocations] = [(made.actions, "action"), (made.allocations, "allocation")]
+            .map(|(count, what)| plural(count as usize, what));
+        say!("{actions} and {allocations} made again, {} of them otherwise", made.different);
+        for (count, why) in [
+            (made.before_record, "are about a frame or an allocation that the record lacks"),
+            (made.of_others, "were decided by another bundle"),
+            (made.of_engines, "were decided by a network in an engine"),
+            (made.without_memory, "depend on what was remembered before the record began"),
+        ] {
+            if count > 0 {
+                say!("{count} {why}: not made again");
+            }
+        }
+    }
+    match first_difference {
+        None if made.actions + made.allocations == 0 => {
+            Err(Failure::new(Exit::BadData, "there was nothing to make again"))
+        }
+        None => Ok(()),
+        Some(first) => Err(Failure::difference(first.to_string())),
+    }
+}
