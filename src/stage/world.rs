@@ -219,6 +219,8 @@ mod tests {
         };
         let settings = WorldSettings { episodes: Some(episodes), ..WorldSettings::default() };
         let mut policy = Last(actions, allocator.is_some());
+        // Lent for as long as the team plays.
+        let allocator = allocator.map(|allocator| allocator as &mut dyn Allocator);
         let team = InProcess { world: &mut world, policy: &mut policy, allocator };
         run_in_process(team, &contract, &settings, &mut (), &Stop::default())
             .expect("the episodes are played");

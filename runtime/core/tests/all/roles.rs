@@ -430,7 +430,7 @@ fn memory_is_cleared_where_an_episode_begins() {
 fn memory_that_another_model_emptied_is_announced_once() {
     let mut stage = Stage::new();
     let mut role = stage.runner_role(0);
-    let mut flags = |count: u64, remembers: bool, is_another: bool| {
+    let mut flags = |count: u32, remembers: bool, is_another: bool| {
         if is_another {
             role.change_model([7; 16]);
         }
