@@ -5,15 +5,27 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use crate::support::{
-    BUNDLE, TestDomain, assert_fails, json, output, python, sortie, stderr, wait_until,
+    BUNDLE, TestDomain, assert_fails, interrupt, json, output, python, sortie, stderr, wait_until,
 };
 
-/// Starts a team that plays until it is told to end.
-fn team(domain: &TestDomain) -> Child {
+/// A team that plays until it is told to end, or until its test fails.
+struct Playing(Child);
+
+impl Drop for Playing {
+    fn drop(&mut self) {
+        // One that was shut down has ended.
+        if matches!(self.0.try_wait(), Ok(None)) {
+            interrupt(&self.0);
+            let _ = self.0.wait();
+        }
+    }
+}
+
+fn team(domain: &TestDomain) -> Playing {
     let mut up =
         sortie(&["up", BUNDLE, "--domain", &domain.id, "--quiet", "--isolate", "--rate", "100"]);
     let up = up.stdout(Stdio::null()).stderr(Stdio::null()).spawn();
-    let up = up.expect("the command line starts");
+    let up = Playing(up.expect("the command line starts"));
     wait_until("everybody is there", || {
         let told = output(&["control", "info", "--domain", &domain.id, "--json"]);
         let answer: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap_or_default();
@@ -22,9 +34,9 @@ fn team(domain: &TestDomain) -> Child {
     up
 }
 
-fn shut_down(domain: &TestDomain, mut up: Child) {
+fn shut_down(domain: &TestDomain, mut up: Playing) {
     json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
-    assert_eq!(up.wait().expect("its status").code(), Some(0));
+    assert_eq!(up.0.wait().expect("its status").code(), Some(0));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 
