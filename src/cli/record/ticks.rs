@@ -19,8 +19,8 @@ pub(super) const SCHEMA: &str = r#"{
       "action": {"type": ["integer", "null"]},
       "task": {"type": ["integer", "null"], "description": "subtask acted for"},
       "utility": {"type": ["number", "null"]},
-      "fallback": {"type": "boolean", "description": "the policy refused"},
-      "late": {"type": "boolean", "description": "sent after the deadline"},
+      "fallback": {"type": "boolean", "description": "there where the policy refused"},
+      "late": {"type": "boolean", "description": "there where it was sent after the deadline"},
       "answered_us": {"type": "number", "description": "from the frame to the action"}
     }}}
   }
@@ -47,7 +47,10 @@ struct Answer {
     task: Option<u8>,
     /// None where it is no number.
     utility: Option<f32>,
+    /// Of an hour's lines, what is nearly always false would be a tenth.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
     fallback: bool,
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
     late: bool,
     answered_us: f64,
 }

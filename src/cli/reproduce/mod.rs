@@ -172,7 +172,7 @@ fn reproduce(figure: &Figure, arguments: &ReproduceArguments) -> Outcome {
     measure_again(figure, &parts, &stop, arguments.common)?;
     let groups = groups(figure, &parts)?;
     let mut came = came(figure, &seeds, &groups)?;
-    came.solvers = solvers::beside(figure, &folder, arguments.common)?;
+    came.solvers = solvers::beside(&figure.solvers, &folder, arguments.common)?;
     let files = write(figure, &folder, &came, &groups)?;
     if arguments.common.json {
         print_json(&came);
@@ -383,5 +383,23 @@ mod tests {
         for name in ["early", "late"] {
             assert_eq!(picture.matches(name).count(), 1, "{name}");
         }
+    }
+
+    #[test]
+    fn solvers_that_were_measured_stand_beside_what_was_learned() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let common = Common { json: false, seed: 1, quiet: true };
+        let line = r#"{"solver": "pyvrp 10 ms", "customers": "5-15", "over_optimum": 1.0001, "ci95": 0.0002, "milliseconds": 12.0, "p99": 13.0, "unsolved": 3}"#;
+        let file = folder.path().join("solvers.json");
+        std::fs::write(&file, format!("{line}\n")).expect("there is room");
+        let beside = |words| solvers::beside(words, folder.path(), common);
+        assert!(beside("").expect("none were asked for").is_empty());
+        let solvers = beside("--sizes 5-15").expect("they were measured");
+        let (figure, about, why) = ("f", "two numbers", "because.");
+        let came = Came { figure, about, why, seeds: &[1], rows: Vec::new(), solvers, cpu_s: 2.0 };
+        let row = "| pyvrp 10 ms | 1.0001 ± 0.0002 | 12.0 | 3 |";
+        assert!(came.markdown().contains(row), "{}", came.markdown());
+        std::fs::write(&file, "{").expect("there is room");
+        assert!(beside("--sizes 5-15").expect_err("cut").message.contains("solvers.json"));
     }
 }

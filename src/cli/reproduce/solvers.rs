@@ -7,7 +7,6 @@ use std::process::{Command, Stdio};
 use serde::{Deserialize, Serialize};
 use sortie_bundle::files::{MOST_TEXT_BYTES, read_text};
 
-use super::recipe::Figure;
 use crate::failure::{Exit, Failure};
 use crate::files::write_output;
 use crate::output::{Common, tell};
@@ -27,21 +26,17 @@ pub(super) struct Solver {
     pub(super) unsolved: usize,
 }
 
-/// What a figure's solvers came to, measured where `solvers.json` does not have it yet. None where Python lacks them, which is
+/// What solvers came to by these words of the script, measured where `solvers.json` does not have it yet. None where Python lacks them, which is
 /// said and does not last.
-pub(super) fn beside(
-    figure: &Figure,
-    folder: &Path,
-    common: Common,
-) -> Result<Vec<Solver>, Failure> {
-    if figure.solvers.is_empty() {
+pub(super) fn beside(words: &str, folder: &Path, common: Common) -> Result<Vec<Solver>, Failure> {
+    if words.is_empty() {
         return Ok(Vec::new());
     }
     let file = folder.join("solvers.json");
     let lines = if file.exists() {
         read_text(&file, MOST_TEXT_BYTES).map_err(|error| Failure::file(&file, &error))?
     } else {
-        measured(&figure.solvers, common)
+        measured(words, common)
     };
     let solvers = serde_json::Deserializer::from_str(&lines).into_iter();
     let solvers = solvers.collect::<Result<Vec<Solver>, _>>().map_err(|error| {
