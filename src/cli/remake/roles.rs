@@ -76,6 +76,32 @@ struct Runner<'a> {
     waiting: Vec<ActionMsg>,
 }
 
+impl Runner<'_> {
+    /// Decides what it answered to a frame; none where it does not know what it remembered.
+    fn decide(
+        &mut self,
+        mut link: Playback<'_>,
+        answers: &[ActionMsg],
+        fallback: Option<&mut RuleAllocator>,
+    ) -> Option<Vec<ActionMsg>> {
+        let Self { role, policy, knows, .. } = self;
+        role.act_for(answers.iter().fold(0, |set, answer| set | 1 << (answer.agent & 63)));
+        // A reload empties what agents remember in the midst of an episode.
+        let emptied = answers.iter().find(|answer| answer.has(ActionMsg::STATE_RESET));
+        if let Some(answer) = emptied {
+            role.change_model(model_of(answer));
+        }
+        let polled = match fallback {
+            Some(rule) => role.poll_with_heuristic(&mut link, policy, rule),
+            None => role.poll(&mut link, policy),
+        };
+        debug_assert!(polled.is_ok(), "a link that cannot fail");
+        let empties = link.actions.iter().any(|action| action.has(ActionMsg::STATE_RESET));
+        *knows = emptied.is_some() || (*knows && !empties);
+        knows.then_some(link.actions)
+    }
+}
+
 /// All roles, and what they are fed with.
 pub(super) struct Roles<'a> {
     runners: BTreeMap<u32, Runner<'a>>,
@@ -178,41 +204,24 @@ impl<'a> Roles<'a> {
             self.made.of_engines += count;
             return;
         }
-        let Some(frame) = self.frames.iter().find(|frame| frame.header.tick == first.tick) else {
-            self.made.before_record += count;
-            runner.knows = !runner.remembers;
-            return;
-        };
         let order = (first.alloc_term, first.alloc_epoch);
         let allocation = self.allocations.iter().rfind(|it| it.order() == order);
-        if order != (0, 0) && allocation.is_none() {
+        let frame = self.frames.iter().find(|frame| frame.header.tick == first.tick);
+        let frame = frame.filter(|_| order == (0, 0) || allocation.is_some());
+        let Some(frame) = frame else {
             self.made.before_record += count;
             runner.knows = !runner.remembers;
             return;
-        }
-        runner.role.act_for(answers.iter().fold(0, |set, answer| set | 1 << (answer.agent & 63)));
-        let was_emptied = first.has(ActionMsg::STATE_RESET);
-        if was_emptied {
-            runner.role.change_model(model_of(first));
-        }
-        let mut link = Playback::new(frame, allocation);
-        let Runner { role, policy, .. } = runner;
-        let polled = match &mut self.fallback {
-            Some(rule) => role.poll_with_heuristic(&mut link, policy, *rule),
-            None => role.poll(&mut link, policy),
         };
-        debug_assert!(polled.is_ok(), "a link that cannot fail");
-        let empties = link.actions.iter().any(|action| action.has(ActionMsg::STATE_RESET));
-        runner.knows = was_emptied || (runner.knows && !empties);
-        if !runner.knows {
+        let link = Playback::new(frame, allocation);
+        let Some(made) = runner.decide(link, &answers, self.fallback.as_deref_mut()) else {
             self.made.without_memory += count;
             return;
-        }
+        };
         self.made.actions += count;
-        let episode = frame.header.episode;
         for recorded in &answers {
-            let made = link.actions.iter().find(|made| made.agent == recorded.agent);
-            if let Some(difference) = different(recorded, made, episode) {
+            let made = made.iter().find(|made| made.agent == recorded.agent);
+            if let Some(difference) = different(recorded, made, frame.header.episode) {
                 self.made.different += 1;
                 self.differences.push(difference);
             }
