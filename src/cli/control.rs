@@ -10,7 +10,7 @@ use sortie_ipc::{Answer, Domain, Order, control};
 
 use crate::allocation::AllocatorChoice;
 use crate::allocator::{DeployedAllocator, ProposalArguments};
-use crate::deployment::open_bundle;
+use crate::deployment::{model_text, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::ENGINE;
 use crate::output::{print_json, say};
@@ -201,7 +201,7 @@ fn listed(seats: u64) -> String {
 }
 
 fn model(answer: &Answer) -> String {
-    format!("{:032x}", u128::from_be_bytes(answer.process.model))
+    model_text(answer.process.model)
 }
 
 /// What was answered, for scripts.

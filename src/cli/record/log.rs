@@ -9,6 +9,7 @@ use sortie_record::{Message, Writer};
 use zerocopy::IntoBytes;
 
 use super::ticks::{self, Ticks};
+use crate::deployment::model_text;
 use crate::failure::Failure;
 
 /// The channels, by their numbers; their schemas have the same ones.
@@ -121,7 +122,7 @@ impl<W: Write> Log<W> {
             ("role", role.to_owned()),
             ("name", String::from_utf8_lossy(name).into_owned()),
             ("agents", format!("{:#x}", status.agents)),
-            ("model", format!("{:032x}", u128::from_be_bytes(status.model))),
+            ("model", model_text(status.model)),
             ("build", format!("{:08x}", status.build)),
             ("start_ns", status.start_ns.saturating_add(self.ahead_ns).to_string()),
         ];

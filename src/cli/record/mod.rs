@@ -14,7 +14,7 @@ use sortie_core::link::Clock;
 use sortie_ipc::{Domain, DomainFacts, Error, IoxRecorder, LinkSetup, Membership, MonotonicClock};
 use sortie_record::{Finished, RecordError, finish};
 
-use crate::deployment::{model_id, open_bundle};
+use crate::deployment::{model_id, model_text, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Common, plural, print_json, say};
 use crate::terminal::{spinner, stop_on_signals};
@@ -155,7 +155,7 @@ fn wall_clock_ahead_ns() -> u64 {
 /// Has the record bring along the bundle of the team.
 fn attach(log: &mut Log<File>, folder: &Path, facts: &DomainFacts) -> Outcome {
     let bundle = open_bundle(folder)?;
-    let model = format!("{:032x}", u128::from_be_bytes(model_id(&bundle)));
+    let model = model_text(model_id(&bundle));
     if model != facts.model() {
         let message = format!(
             "{} is not the team's bundle: {model}, which has {}",

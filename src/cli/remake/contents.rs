@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use sortie_bundle::Bundle;
 use sortie_core::plan::AlignedBytes;
-use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, StatMsg};
+use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, StatMsg};
 use sortie_ipc::DomainFacts;
 use sortie_record::{Reader, Record, RecordError};
 use zerocopy::FromBytes;
@@ -33,8 +33,7 @@ pub(super) enum Told {
 pub(super) struct Contents {
     path: PathBuf,
     pub(super) facts: DomainFacts,
-    /// Who allocates, as the world says.
-    pub(super) allocation: Option<String>,
+    pub(super) format: FrameFormat,
     /// Processes that answered.
     pub(super) runners: BTreeSet<u32>,
     /// Those whose network runs in an engine.
@@ -77,11 +76,11 @@ impl Contents {
         })?;
         let none = || bad(path, "it is no record of a team: it brings no `domain.toml`");
         let domain = domain.ok_or_else(none)?;
-        let table: toml::Table = toml::from_str(&domain).map_err(|error| bad(path, error))?;
-        let allocation = table.get("allocation").and_then(toml::Value::as_str).map(str::to_owned);
         let facts: DomainFacts = toml::from_str(&domain).map_err(|error| bad(path, error))?;
+        // A record of others may state sizes that no domain has.
+        let format = facts.format().map_err(|error| bad(path, error))?;
         let path = path.to_owned();
-        Ok(Self { path, facts, allocation, runners, engines, frames, attached })
+        Ok(Self { path, facts, format, runners, engines, frames, attached })
     }
 
     /// The bundle that the record brings along.
@@ -170,4 +169,35 @@ fn each(
 
 fn bad(path: &Path, reason: impl std::fmt::Display) -> Failure {
     Failure::new(Exit::BadData, format!("{}: {reason}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_core::Shape;
+    use sortie_ipc::DomainContract;
+    use sortie_record::Writer;
+
+    use super::*;
+
+    #[test]
+    fn records_of_others_are_refused_by_what_is_wrong() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("run.mcap");
+        let shape = Shape { agents: 0, entities: 3, tasks: 1, actions: 4, features: 5 };
+        let nobody = toml::to_string(&DomainFacts::new(&DomainContract::default(), shape));
+        let nobody = nobody.expect("plain values");
+        for (name, text, reason) in [
+            ("notes.txt", "", "brings no `domain.toml`"),
+            ("domain.toml", "agents = ", "run.mcap"),
+            ("domain.toml", &nobody, "agents"),
+            ("bundle/../../elsewhere", "", "is no name of a file"),
+        ] {
+            let mut writer = Writer::new(Vec::new(), "sortie", "a test");
+            writer.add_attachment([name, "text/plain"], 0, text.as_bytes());
+            fs::write(&path, writer.end().expect("memory")).expect("there is room");
+            let Err(refused) = Contents::read(&path) else { panic!("{name} is taken") };
+            assert!(refused.message.contains(reason), "{}", refused.message);
+            assert!(matches!(refused.exit, Exit::BadData), "{}", refused.message);
+        }
+    }
 }

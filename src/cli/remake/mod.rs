@@ -58,8 +58,8 @@ pub(crate) fn run(arguments: &RemakeArguments) -> Outcome {
         Some(folder) => open_bundle(folder)?,
         None => contents.bundle()?,
     };
-    let (made, differences) = remake(&contents, &bundle, arguments)?;
-    report(arguments, &contents, made, &differences)
+    let (made, first_difference) = remake(&contents, &bundle, arguments)?;
+    report(arguments, &contents, made, first_difference.as_ref())
 }
 
 /// Decides all of it again.
@@ -67,13 +67,13 @@ fn remake(
     contents: &Contents,
     bundle: &Bundle,
     arguments: &RemakeArguments,
-) -> Result<(Made, Vec<Difference>), Failure> {
+) -> Result<(Made, Option<Difference>), Failure> {
     let runners = contents.runners.iter();
     let policies = runners.map(|_| DeployedPolicy::open(bundle, Backend::Plan));
     let mut policies = policies.collect::<Result<Vec<_>, _>>()?;
     let mut fallback = fallback(bundle)?;
     let seed = arguments.common.seed;
-    let choice = contents.allocation.as_deref().map(choice).transpose()?;
+    let choice = contents.facts.allocation().map(choice).transpose()?;
     let draws = (seed, arguments.proposals);
     let mut allocator = DeployedAllocator::open_for(bundle, choice, Backend::Plan, draws)?;
     let team = Team {
@@ -99,9 +99,8 @@ fn report(
     arguments: &RemakeArguments,
     contents: &Contents,
     made: Made,
-    differences: &[Difference],
+    first_difference: Option<&Difference>,
 ) -> Outcome {
-    let first_difference = differences.first();
     if arguments.common.json {
         let (record, frames) = (&*arguments.record, contents.frames);
         print_json(&Remade { record, frames, made, first_difference });

@@ -111,14 +111,13 @@ pub(super) struct Roles<'a> {
     frames: VecDeque<Shown>,
     allocations: VecDeque<AllocMsg>,
     made: Made,
-    differences: Vec<Difference>,
+    first_difference: Option<Difference>,
 }
 
 impl<'a> Roles<'a> {
     pub(super) fn new(contents: &Contents, bundle: &Bundle, team: Team<'a>) -> Self {
         let (contract, facts) = (bundle.contract(), &contents.facts);
-        // A domain whose facts could be read has frames.
-        let format = facts.format().expect("facts that were read once");
+        let format = contents.format;
         let identity = Identity { model: model_id(bundle), ..Identity::new(0, "remake") };
         let decision_interval = contract.decision_interval;
         let options = RunnerOptions {
@@ -146,7 +145,7 @@ impl<'a> Roles<'a> {
             frames: VecDeque::new(),
             allocations: VecDeque::new(),
             made: Made::default(),
-            differences: Vec::new(),
+            first_difference: None,
         }
     }
 
@@ -154,17 +153,11 @@ impl<'a> Roles<'a> {
     pub(super) fn hear(&mut self, told: Told) {
         match told {
             Told::Frame(shown) => {
-                if self.frames.len() == KEPT {
-                    self.frames.pop_front();
-                }
-                self.frames.push_back(shown);
+                keep(&mut self.frames, shown);
             }
             Told::Allocation(message) => {
                 self.allocate(&message);
-                if self.allocations.len() == KEPT {
-                    self.allocations.pop_front();
-                }
-                self.allocations.push_back(message);
+                keep(&mut self.allocations, message);
             }
             Told::Action(message) => {
                 if message.has(ActionMsg::BYE) {
@@ -183,11 +176,11 @@ impl<'a> Roles<'a> {
         }
     }
 
-    /// What was made, and all that came out otherwise.
-    pub(super) fn end(mut self) -> (Made, Vec<Difference>) {
+    /// What was made, and the first that came out otherwise.
+    pub(super) fn end(mut self) -> (Made, Option<Difference>) {
         let runners: Vec<u32> = self.runners.keys().copied().collect();
         runners.into_iter().for_each(|runner| self.answer(runner));
-        (self.made, self.differences)
+        (self.made, self.first_difference)
     }
 
     /// Has a runner answer again what it answered last.
@@ -223,7 +216,7 @@ impl<'a> Roles<'a> {
             let made = made.iter().find(|made| made.agent == recorded.agent);
             if let Some(difference) = different(recorded, made, frame.header.episode) {
                 self.made.different += 1;
-                self.differences.push(difference);
+                self.first_difference.get_or_insert(difference);
             }
         }
     }
@@ -252,7 +245,7 @@ impl<'a> Roles<'a> {
         };
         if made.is_none_or(|made| tasks(made) != tasks(recorded)) {
             self.made.different += 1;
-            self.differences.push(Difference {
+            self.first_difference.get_or_insert_with(|| Difference {
                 tick: recorded.tick as u32,
                 episode: frame.header.episode,
                 agent: None,
@@ -268,6 +261,14 @@ impl<'a> Roles<'a> {
     }
 }
 
+/// Keeps the newest.
+fn keep<T>(kept: &mut VecDeque<T>, newest: T) {
+    if kept.len() == KEPT {
+        kept.pop_front();
+    }
+    kept.push_back(newest);
+}
+
 /// The model of an answer, as far as it tells.
 fn model_of(answer: &ActionMsg) -> [u8; 16] {
     let mut model = [0; 16];
@@ -275,24 +276,32 @@ fn model_of(answer: &ActionMsg) -> [u8; 16] {
     model
 }
 
+/// What is decided of an answer: its name, its bits, and how it is told.
+type Field = (&'static str, fn(&ActionMsg) -> u64, fn(&ActionMsg) -> String);
+const FIELDS: [Field; 5] = [
+    ("the action", |it| it.action.into(), |it| it.action.to_string()),
+    ("the subtask", |it| it.task.into(), |it| it.task.to_string()),
+    ("the utility", |it| it.q.to_bits().into(), |it| format!("{} ({:08x})", it.q, it.q.to_bits())),
+    (
+        "the allocation acted on",
+        |it| u64::from(it.alloc_term) << 32 | u64::from(it.alloc_epoch),
+        |it| format!("{} of term {}", it.alloc_epoch, it.alloc_term),
+    ),
+    (
+        "the set of flags",
+        |it| (it.flags & DECIDED).into(),
+        |it| format!("{:#x}", it.flags & DECIDED),
+    ),
+];
+
 /// In what two answers differ, if they do.
 fn different(recorded: &ActionMsg, made: Option<&ActionMsg>, episode: u32) -> Option<Difference> {
-    let decided = |it: &ActionMsg| {
-        [
-            ("the action", it.action.to_string()),
-            ("the subtask", it.task.to_string()),
-            ("the utility", format!("{} ({:08x})", it.q, it.q.to_bits())),
-            ("the allocation acted on", format!("{} of term {}", it.alloc_epoch, it.alloc_term)),
-            ("the set of flags", format!("{:#x}", it.flags & DECIDED)),
-        ]
-    };
     let (tick, agent) = (recorded.tick as u32, Some(recorded.agent));
     let Some(made) = made else {
         let (recorded, made) = ("there".to_owned(), "missing".to_owned());
         return Some(Difference { tick, episode, agent, what: "the answer", recorded, made });
     };
-    let pairs = decided(recorded).into_iter().zip(decided(made));
-    let mut others = pairs.filter(|(recorded, made)| recorded != made);
-    let ((what, recorded), (_, made)) = others.next()?;
+    let (what, _, told) = FIELDS.iter().find(|(_, bits, _)| bits(recorded) != bits(made))?;
+    let (recorded, made) = (told(recorded), told(made));
     Some(Difference { tick, episode, agent, what, recorded, made })
 }

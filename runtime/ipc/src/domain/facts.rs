@@ -115,6 +115,11 @@ impl DomainFacts {
         self.allocation.is_some()
     }
 
+    /// Who allocates, where the world says so.
+    pub fn allocation(&self) -> Option<&str> {
+        self.allocation.as_deref()
+    }
+
     /// Nanoseconds from frame to frame; 0 = as long as the team takes.
     pub fn period_ns(&self) -> u64 {
         self.period_ns
