@@ -1,44 +1,12 @@
 //! What a running team says is written down, and others can read it.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::Path;
+use std::process::{Command, Stdio};
 
 use crate::support::{
-    BUNDLE, TestDomain, assert_fails, interrupt, json, output, python, sortie, stderr, wait_until,
+    BUNDLE, Playing, TestDomain, assert_fails, json, output, python, sortie, stderr, wait_until,
 };
-
-/// A team that plays until it is told to end, or until its test fails.
-struct Playing(Child);
-
-impl Drop for Playing {
-    fn drop(&mut self) {
-        // One that was shut down has ended.
-        if matches!(self.0.try_wait(), Ok(None)) {
-            interrupt(&self.0);
-            let _ = self.0.wait();
-        }
-    }
-}
-
-fn team(domain: &TestDomain) -> Playing {
-    let mut up =
-        sortie(&["up", BUNDLE, "--domain", &domain.id, "--quiet", "--isolate", "--rate", "100"]);
-    let up = up.stdout(Stdio::null()).stderr(Stdio::null()).spawn();
-    let up = Playing(up.expect("the command line starts"));
-    wait_until("everybody is there", || {
-        let told = output(&["control", "info", "--domain", &domain.id, "--json"]);
-        let answer: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap_or_default();
-        answer["processes"].as_array().is_some_and(|processes| processes.len() == 8)
-    });
-    up
-}
-
-fn shut_down(domain: &TestDomain, mut up: Playing) {
-    json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
-    assert_eq!(up.0.wait().expect("its status").code(), Some(0));
-    assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
-}
 
 /// What helps where Python has no reader.
 const NO_MCAP: &str = "records are read by others: `.ci/install python`, then `export VIRTUAL_ENV=$PWD/target/python/venv`";
@@ -67,7 +35,7 @@ fn a_team_at_work_is_recorded_and_others_read_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("run.mcap");
     let name = file.to_str().expect("a name");
-    let up = team(&domain);
+    let up = Playing::new(&domain);
     let record = ["record", BUNDLE, "--output", name, "--domain", &domain.id, "--ticks", "300"];
     let told = json(&[&record[..], &["--json"]].concat());
     // Others want the cores as well, and who is late by two ticks misses one: it says so.
@@ -81,7 +49,7 @@ fn a_team_at_work_is_recorded_and_others_read_it() {
     let other = ["record", "models/routing", "--output", other.to_str().expect("a name")];
     let refused = output(&[&other[..], &["--domain", &domain.id]].concat());
     assert_fails(&refused, 78, &["is not the team's bundle"]);
-    shut_down(&domain, up);
+    up.shut_down(&domain);
 
     let (counts, ticks) = read_by_others(&file);
     assert!(counts["/frame"] >= 300 && counts["/status"] > 0, "{counts:?}");
@@ -122,7 +90,7 @@ fn a_record_whose_writer_was_killed_is_finished_and_read() {
         69,
         &["no world has started in domain"],
     );
-    let up = team(&domain);
+    let up = Playing::new(&domain);
     for _ in 0..3 {
         let mut recorder = sortie(&["record", "--output", name, "--domain", &domain.id, "--quiet"]);
         let mut recorder = recorder.stdout(Stdio::null()).spawn().expect("it starts");
@@ -143,7 +111,7 @@ fn a_record_whose_writer_was_killed_is_finished_and_read() {
         assert_eq!(remade["different"], 0, "{remade}");
         std::fs::remove_file(&file).expect("it is there");
     }
-    shut_down(&domain, up);
+    up.shut_down(&domain);
     assert_fails(&output(&["record", "--finish", "Cargo.toml"]), 65, &["no record"]);
 }
 
@@ -170,13 +138,13 @@ fn whatever_is_changed_in_a_record_that_a_decision_read_or_made_is_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("run.mcap");
     let name = file.to_str().expect("a name");
-    let up = team(&domain);
+    let up = Playing::new(&domain);
     let mut recorder = sortie(&["record", BUNDLE, "--output", name, "--domain", &domain.id]);
     let mut recorder = recorder.stdout(Stdio::null()).spawn().expect("it starts");
     wait_until("it records", || std::fs::metadata(&file).is_ok_and(|file| file.len() > 1_600_000));
     recorder.kill().expect("it lives");
     recorder.wait().expect("its status");
-    shut_down(&domain, up);
+    up.shut_down(&domain);
     let whole = std::fs::read(&file).expect("it is there");
     assert_eq!(json(&["remake", name, "--json"])["different"], 0);
     // A number that an agent sees, an action, its utility, and the first subtask of an allocation.

@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output};
+use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
@@ -95,6 +95,56 @@ fn collect(folder: &Path, name: &str, found: &mut Vec<PathBuf>) {
             found.push(path);
         } else if path.is_dir() {
             collect(&path, name, found);
+        }
+    }
+}
+
+/// A team at 100 Hz, each agent in a process of its own, that plays until it is told to end, or until its test fails.
+pub(crate) struct Playing(pub(crate) Child);
+
+impl Playing {
+    pub(crate) fn new(domain: &TestDomain) -> Self {
+        let mut up = sortie(&[
+            "up",
+            BUNDLE,
+            "--domain",
+            &domain.id,
+            "--quiet",
+            "--isolate",
+            "--rate",
+            "100",
+        ]);
+        let up = up.stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+        let up = Self(up.expect("the command line starts"));
+        wait_until("everybody is there", || {
+            let told = output(&["control", "info", "--domain", &domain.id, "--json"]);
+            let answer: Value = serde_json::from_slice(&told.stdout).unwrap_or_default();
+            answer["processes"].as_array().is_some_and(|processes| processes.len() == 8)
+        });
+        up
+    }
+
+    /// Ends it; whoever else is in the domain leaves by itself.
+    pub(crate) fn end(mut self, domain: &TestDomain) {
+        json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
+        assert_eq!(self.0.wait().expect("its status").code(), Some(0));
+    }
+
+    /// Ends it as the last ones there.
+    pub(crate) fn shut_down(self, domain: &TestDomain) {
+        self.end(domain);
+        assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+    }
+}
+
+impl Drop for Playing {
+    fn drop(&mut self) {
+        // One that was shut down has ended.
+        if matches!(self.0.try_wait(), Ok(None)) {
+            // A test may have stopped it.
+            resume(self.0.id());
+            interrupt(&self.0);
+            let _ = self.0.wait();
         }
     }
 }

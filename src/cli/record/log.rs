@@ -1,6 +1,5 @@
 //! A record as it grows: messages as they are, and a line a tick for people.
 
-use std::collections::HashMap;
 use std::io::{self, Write};
 
 use sortie_core::wire::{ABI, ActionMsg, AllocMsg, FrameHeader, Role, StatMsg};
@@ -11,6 +10,7 @@ use zerocopy::IntoBytes;
 use super::ticks::{self, Ticks};
 use crate::deployment::model_text;
 use crate::failure::Failure;
+use crate::listener::Missed;
 
 /// The channels, by their numbers; their schemas have the same ones.
 const FRAME: u16 = 1;
@@ -36,9 +36,7 @@ pub(super) struct Log<W: Write> {
     /// When the last message was read.
     now_ns: u64,
     ticks: Ticks,
-    /// The last number of each sender, by its channel.
-    last: HashMap<(u16, u32), u64>,
-    missed: u64,
+    missed: Missed,
 }
 
 impl<W: Write> Log<W> {
@@ -56,8 +54,8 @@ impl<W: Write> Log<W> {
         writer.add_channel(TICK, TICK, ["/tick", "json"]);
         writer.add_attachment(["domain.toml", "application/toml"], ahead_ns, text.as_bytes());
         let agents = facts.shape().agents;
-        let (ticks, last) = (Ticks::new(agents), HashMap::new());
-        Ok(Self { writer, ahead_ns, now_ns: 0, ticks, last, missed: 0 })
+        let (ticks, missed) = (Ticks::new(agents), Missed::default());
+        Ok(Self { writer, ahead_ns, now_ns: 0, ticks, missed })
     }
 
     /// A file that the record brings along.
@@ -69,42 +67,34 @@ impl<W: Write> Log<W> {
     /// Adds a message that was read at this time of the domain's clock. Returns whether the team ends with it.
     pub(super) fn add(&mut self, heard: Heard<'_>, now_ns: u64) -> bool {
         self.now_ns = now_ns;
+        let is_first = self.missed.note(heard);
         match heard {
             Heard::Frame(header, payload) => {
                 self.end_tick();
                 self.ticks.begin(header);
                 let parts: [&[u8]; 2] = [header.as_bytes(), payload];
-                self.message(FRAME, (header.world_term, header.seq), header.t_ns, &parts);
+                self.message(FRAME, header.seq, header.t_ns, &parts);
                 return header.has(FrameHeader::SHUTDOWN);
             }
             Heard::Allocation(it) => {
                 self.ticks.allocate(it);
-                self.message(ALLOCATION, (it.term, it.seq), it.t_ns, &[it.as_bytes()]);
+                self.message(ALLOCATION, it.seq, it.t_ns, &[it.as_bytes()]);
             }
             Heard::Action(it) => {
                 self.ticks.act(it);
-                self.message(ACTION, (it.runner, it.seq), it.t_ns, &[it.as_bytes()]);
+                self.message(ACTION, it.seq, it.t_ns, &[it.as_bytes()]);
             }
             Heard::Status(it) => {
-                if !self.last.contains_key(&(STATUS, it.pid)) {
+                if is_first {
                     self.introduce(it);
                 }
-                self.message(STATUS, (it.pid, it.seq), it.t_ns, &[it.as_bytes()]);
+                self.message(STATUS, it.seq, it.t_ns, &[it.as_bytes()]);
             }
         }
         false
     }
 
-    fn message(
-        &mut self,
-        channel: u16,
-        (sender, number): (u32, u64),
-        sent_ns: u64,
-        parts: &[&[u8]],
-    ) {
-        if let Some(last) = self.last.insert((channel, sender), number) {
-            self.missed += number.saturating_sub(last.saturating_add(1));
-        }
+    fn message(&mut self, channel: u16, number: u64, sent_ns: u64, parts: &[&[u8]]) {
         let message = Message {
             channel,
             sequence: number as u32,
@@ -147,7 +137,7 @@ impl<W: Write> Log<W> {
 
     /// Messages that came and went before they were read, as far as later ones of their senders show.
     pub(super) fn missed(&self) -> u64 {
-        self.missed
+        self.missed.count()
     }
 
     /// Writes what was added.
@@ -157,7 +147,7 @@ impl<W: Write> Log<W> {
 
     /// Ends the record, with what was missed.
     pub(super) fn end(mut self) -> io::Result<W> {
-        let (ticks, missed) = (self.ticks(), self.missed.to_string());
+        let (ticks, missed) = (self.ticks(), self.missed().to_string());
         self.end_tick();
         let told = [("ticks", ticks.to_string()), ("missed", missed)];
         self.writer.add_metadata("sortie.record", &told);

@@ -11,19 +11,18 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use clap::Args;
 use serde::Serialize;
 use sortie_core::link::Clock;
-use sortie_ipc::{Domain, DomainFacts, Error, IoxRecorder, LinkSetup, Membership, MonotonicClock};
+use sortie_ipc::{Domain, DomainFacts, MonotonicClock};
 use sortie_record::{Finished, RecordError, finish};
 
 use crate::deployment::{model_id, model_text, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
+use crate::listener::Listener;
 use crate::output::{Common, plural, print_json, say};
 use crate::terminal::{spinner, stop_on_signals};
 use log::Log;
 
-/// How long a team may be silent before it is taken for gone: paused ones tell of themselves ten times a second.
-const SILENCE: Duration = Duration::from_secs(30);
 /// The longest sleep between two looks.
-const LOOK_EVERY_NS: u64 = 100_000_000;
+const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// Write down all that a running team says: frames, actions, allocations, who is there
 ///
@@ -85,55 +84,26 @@ pub(crate) fn run(arguments: &RecordArguments) -> Outcome {
 fn record(arguments: &RecordArguments) -> Result<Log<File>, Failure> {
     let stop = stop_on_signals()?;
     let domain = Domain::new(&arguments.domain)?;
-    let (membership, facts) = enter(&domain)?;
-    let mut link = open_link(&membership, &facts)?;
-    let mut log = Log::new(create(&arguments.output)?, &facts, wall_clock_ahead_ns())?;
+    let mut listener = Listener::enter(&domain, "recorder")?;
+    let facts = listener.facts();
+    let mut log = Log::new(create(&arguments.output)?, facts, wall_clock_ahead_ns())?;
     if let Some(folder) = &arguments.bundle {
-        attach(&mut log, folder, &facts)?;
+        attach(&mut log, folder, facts)?;
     }
     let spinner = spinner(arguments.common);
     let mut is_over = false;
-    let mut heard_ns = MonotonicClock.now_ns();
     while !is_over {
-        let token = link.token();
-        let now_ns = MonotonicClock.now_ns();
-        let mut is_silent = true;
-        link.receive(&mut |heard| {
-            is_silent = false;
-            is_over |= log.add(heard, now_ns);
-        })?;
+        listener.look(&mut |heard, now_ns| is_over |= log.add(heard, now_ns))?;
         log.flush().map_err(|error| full(&arguments.output, &error, log.ticks()))?;
         spinner.set_message(plural(log.ticks() as usize, "tick"));
-        is_over |= arguments.ticks.is_some_and(|most| log.ticks() >= most) || stop.is_set();
-        heard_ns = if is_silent { heard_ns } else { now_ns };
-        if u128::from(now_ns - heard_ns) > SILENCE.as_nanos() {
-            break;
-        }
+        is_over |= arguments.ticks.is_some_and(|most| log.ticks() >= most);
+        is_over |= stop.is_set() || listener.is_alone();
         if !is_over {
-            link.wait_until(token, now_ns + LOOK_EVERY_NS);
+            listener.wait(LOOK_EVERY);
         }
     }
     spinner.finish_and_clear();
     Ok(log)
-}
-
-fn enter(domain: &Domain) -> Result<(Membership, DomainFacts), Failure> {
-    let nobody = || Failure::from(Error::NoWorld { domain: domain.id().to_owned() });
-    // Whoever enters creates the domain's folder.
-    if !domain.is_alive()? {
-        return Err(nobody());
-    }
-    let membership = domain.enter()?;
-    let facts = membership.facts()?.ok_or_else(nobody)?;
-    Ok((membership, facts))
-}
-
-fn open_link(membership: &Membership, facts: &DomainFacts) -> Result<IoxRecorder, Failure> {
-    let (domain, format, bell) = (membership.domain(), facts.format()?, facts.bell());
-    let name = format!("recorder/{}", std::process::id());
-    let _starting = membership.lock_start()?;
-    let setup = LinkSetup { domain, format, name: &name, bell, linger: Duration::ZERO };
-    Ok(IoxRecorder::open(&setup)?)
 }
 
 fn create(path: &Path) -> Result<File, Failure> {

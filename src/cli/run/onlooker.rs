@@ -12,9 +12,10 @@ use sortie_ipc::{Domain, Stop};
 use sortie_pages::Scene;
 
 use super::figures::Figures;
-use super::picture::{self, Keyboard, Picture, Screen};
+use super::picture::{self, Picture};
 use crate::failure::Failure;
 use crate::output::tell;
+use crate::screen::{Keyboard, Screen};
 use crate::views::outcome;
 use crate::worlds::tally::Tally;
 use crate::worlds::world::{EnvironmentWorld, SharedEnvironment, SharedTally};
