@@ -16,7 +16,7 @@ use crate::terminal::Color;
 use crate::tools::{self, prefer_tools};
 use crate::{
     Program, compare, control, doctor, eval, export, inspect, record, remake, replay, reproduce,
-    run, serve, train, view,
+    run, serve, top, train, view,
 };
 
 const EXIT_CODES: &str = "\
@@ -107,6 +107,7 @@ pub(crate) enum Verb {
     Serve(serve::ServeArguments),
     Control(control::ControlArguments),
     Doctor(doctor::DoctorArguments),
+    Top(top::TopArguments),
     Record(record::RecordArguments),
     Remake(remake::RemakeArguments),
     Eval(eval::EvalArguments),
@@ -138,6 +139,7 @@ pub(crate) fn dispatch(program: &Program, asked: Asked) -> Outcome {
         Verb::Serve(arguments) => serve::run(&arguments),
         Verb::Control(arguments) => control::run(&arguments),
         Verb::Doctor(arguments) => doctor::run(&arguments),
+        Verb::Top(arguments) => top::run(&arguments),
         Verb::Record(arguments) => record::run(&arguments),
         Verb::Remake(arguments) => remake::run(&arguments),
         Verb::Eval(arguments) => eval::run(&arguments),

@@ -38,6 +38,7 @@ mod serve;
 pub mod subject;
 pub mod terminal;
 pub mod tools;
+mod top;
 mod train;
 mod view;
 mod views;

@@ -125,15 +125,22 @@ impl Table {
         self.rows.push(cells.into_iter().collect());
     }
 
+    /// The same with so many columns of text from the left.
+    pub fn with_texts(self, texts: usize) -> Self {
+        Self { texts, ..self }
+    }
+
     pub fn print(&self) {
+        self.lines().iter().for_each(|line| say!("{line}"));
+    }
+
+    pub fn lines(&self) -> Vec<String> {
         let lines = || std::iter::once(&self.header).chain(&self.rows);
         let width = |column: usize| {
             lines().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max()
         };
         let widths: Vec<usize> = (0..).map_while(width).collect();
-        for line in lines() {
-            say!("{}", self.line(line, &widths).trim_end());
-        }
+        lines().map(|line| self.line(line, &widths).trim_end().to_owned()).collect()
     }
 
     fn line(&self, cells: &[String], widths: &[usize]) -> String {

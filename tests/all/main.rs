@@ -34,6 +34,7 @@ mod serve;
 mod support;
 mod team;
 mod terminal;
+mod top;
 mod up;
 mod verify;
 mod written;

@@ -5,7 +5,7 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-use crate::support::{BUNDLE, SMALL, TestDomain, output, sortie, stderr, wait_until};
+use crate::support::{BUNDLE, Playing, SMALL, TestDomain, output, sortie, stderr, wait_until};
 
 /// What hides and what shows the cursor.
 const CURSOR: [&str; 2] = ["\x1b[?25l", "\x1b[?25h"];
@@ -102,6 +102,37 @@ fn space_pauses_the_live_view_and_q_ends_it() {
     assert!(shown.contains("whole tick") && !shown.contains("error: "), "{shown}");
     assert_restored(&shown);
     assert_eq!(domain.leftovers(), [""; 0].map(std::path::PathBuf::from));
+}
+
+#[test]
+fn a_team_is_watched_and_held_still_and_left_by_keys() {
+    let domain = TestDomain::new("watched");
+    let up = Playing::new(&domain);
+    let mut terminal = Terminal::running(&["top", "--domain", &domain.id], &[]);
+    terminal.wait_for("space holds, q quits");
+    wait_until("who leads is shown", || {
+        let shown = terminal.shown();
+        shown.contains(" leads, term 1: ") && shown.contains("world ") && shown.contains("fallback")
+    });
+    terminal.press(" ");
+    terminal.wait_for("HELD: space goes on");
+    // What is held is drawn again, the same.
+    let held = || {
+        let shown = terminal.shown();
+        let drawn = shown.split("domain ").filter(|drawn| drawn.contains("HELD"));
+        drawn.map(str::to_owned).collect::<Vec<_>>()
+    };
+    wait_until("it is drawn several times", || held().len() > 4);
+    let held = held();
+    assert!(held[..4].iter().all(|drawn| *drawn == held[0]), "{held:?}");
+    let before = terminal.shown().len();
+    terminal.press(" ");
+    wait_until("going on", || terminal.shown()[before..].contains("space holds"));
+    terminal.press("q");
+    let shown = terminal.end();
+    assert!(shown.contains("ended with 0") && !shown.contains("error: "), "{shown}");
+    assert_restored(&shown);
+    up.shut_down(&domain);
 }
 
 #[test]

@@ -130,6 +130,11 @@ impl DomainFacts {
         &self.model
     }
 
+    /// All fields of the contract by name.
+    pub fn contract(&self) -> &toml::Table {
+        &self.contract
+    }
+
     /// How the domain's processes wake each other.
     pub fn bell(&self) -> BellKind {
         self.bell
