@@ -47,6 +47,8 @@ pub(crate) struct RemakeArguments {
 struct Remade<'a> {
     record: &'a Path,
     frames: u64,
+    /// Where the record was cut off, if it was.
+    torn_at: Option<u64>,
     #[serde(flatten)]
     made: Made,
     first_difference: Option<&'a Difference>,
@@ -102,8 +104,9 @@ fn report(
     first_difference: Option<&Difference>,
 ) -> Outcome {
     if arguments.common.json {
-        let (record, frames) = (&*arguments.record, contents.frames);
-        print_json(&Remade { record, frames, made, first_difference });
+        let Contents { frames, torn_at, .. } = *contents;
+        let record = &*arguments.record;
+        print_json(&Remade { record, frames, torn_at, made, first_difference });
     } else {
         let [actions, allocations] = [(made.actions, "action"), (made.allocations, "allocation")]
             .map(|(count, what)| plural(count as usize, what));
@@ -117,6 +120,9 @@ fn report(
             if count > 0 {
                 say!("{count} {why}: not made again");
             }
+        }
+        if let Some(at) = contents.torn_at {
+            say!("the record was cut off at byte {at}");
         }
     }
     match first_difference {
