@@ -257,6 +257,36 @@ fn messages(record: &[u8], channel: u16) -> Vec<usize> {
     found
 }
 
+/// Reasons are those of the decision in the record.
+fn explains(whole: &[u8], name: &str) {
+    let actions = messages(whole, 2);
+    let action = actions[actions.len() / 2];
+    let bytes = |at: usize| whole[action + at..action + at + 4].try_into().expect("four");
+    let (agent, tick) = (u32::from(whole[action + 40]).to_string(), u32::from_le_bytes(bytes(16)));
+    let tick = tick.to_string();
+    let asked = ["why", name, "--agent", &agent, "--tick", &tick];
+    let told = json(&[&asked[..], &["--json"]].concat());
+    assert_eq!((told["agent"].to_string(), told["tick"].to_string()), (agent.clone(), tick));
+    let best = &told["actions"][0];
+    assert_eq!(best["action"], told["action"], "{told}");
+    let utility = f64::from(f32::from_le_bytes(bytes(48)));
+    assert!((best["utility"].as_f64().expect("a number") - utility).abs() < 1e-4, "{told}");
+    let weights = told["attention"].as_array().into_iter().flatten();
+    let sum: f64 = weights.filter_map(|it| it["weights"][0].as_f64()).sum();
+    assert!((sum - 1.0).abs() < 1e-2, "{told}");
+    // The search found the best of all allocations, so that nobody is better off elsewhere.
+    let places = told["allocation"]["tasks"].as_array().expect("open subtasks");
+    let own = |place: &&Value| place["task"] == told["task"];
+    let others = |place: &&Value| place["instead"].as_f64().is_some_and(|gain| gain > 1e-3);
+    assert_eq!(places.iter().filter(own).count(), 1, "{told}");
+    assert_eq!(places.iter().filter(others).count(), 0, "{told}");
+    let text = String::from_utf8(output(&asked).stdout).expect("text");
+    let words = ["did: ", "utilities: ", "attended to: ", "saw of itself: ", "with it instead"];
+    assert!(words.iter().all(|word| text.contains(word)), "{text}");
+    let never = ["why", name, "--agent", &agent, "--tick", "4000000000"];
+    assert_fails(&output(&never), 66, &["no action of agent"]);
+}
+
 #[test]
 fn whatever_is_changed_in_a_record_that_a_decision_read_or_made_is_named() {
     let domain = TestDomain::new("remake");
@@ -275,6 +305,7 @@ fn whatever_is_changed_in_a_record_that_a_decision_read_or_made_is_named() {
     assert_eq!((&remade["different"], &remade["torn_at"]), (&0.into(), &Value::Null));
     std::fs::write(&file, &whole[..whole.len() - 1]).expect("there is room");
     assert!(json(&["remake", name, "--json"])["torn_at"].as_u64() > Some(1_000_000));
+    explains(&whole, name);
     // A number that an agent sees, an action, its utility, and the first subtask of an allocation.
     let features = 64 + 64;
     let [frames, actions, allocations] = [1, 2, 3].map(|channel| messages(&whole, channel));

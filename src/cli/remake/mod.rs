@@ -2,7 +2,9 @@
 
 mod contents;
 mod playback;
+mod reasons;
 mod roles;
+pub(crate) mod why;
 
 use std::path::{Path, PathBuf};
 

@@ -183,8 +183,18 @@ impl<'a> Roles<'a> {
         (self.made, self.first_difference)
     }
 
+    /// A frame that was shown a few ticks ago.
+    pub(super) fn frame(&self, tick: u64) -> Option<&Shown> {
+        self.frames.iter().find(|frame| frame.header.tick == tick)
+    }
+
+    /// What was made so far, and what was not.
+    pub(super) fn made(&self) -> Made {
+        self.made
+    }
+
     /// Has a runner answer again what it answered last.
-    fn answer(&mut self, runner: u32) {
+    pub(super) fn answer(&mut self, runner: u32) {
         let Some(runner) = self.runners.get_mut(&runner) else { return };
         let answers = std::mem::take(&mut runner.waiting);
         let Some(first) = answers.first() else { return };
@@ -199,8 +209,8 @@ impl<'a> Roles<'a> {
         }
         let order = (first.alloc_term, first.alloc_epoch);
         let allocation = self.allocations.iter().rfind(|it| it.order() == order);
-        let frame = self.frames.iter().find(|frame| frame.header.tick == first.tick);
-        let frame = frame.filter(|_| order == (0, 0) || allocation.is_some());
+        let found = self.frames.iter().find(|frame| frame.header.tick == first.tick);
+        let frame = found.filter(|_| order == (0, 0) || allocation.is_some());
         let Some(frame) = frame else {
             self.made.before_record += count;
             runner.knows = !runner.remembers;
