@@ -257,6 +257,34 @@ fn messages(record: &[u8], channel: u16) -> Vec<usize> {
     found
 }
 
+/// The bundle that decided would do the same again, another one would not always; what agents saw serves where observations do.
+fn serves_other_verbs(name: &str) {
+    let remade = json(&["remake", name, "--json"]);
+    let own = json(&["eval", BUNDLE, "--on", name, "--json"]);
+    let all = |told: &Value, key: &str| {
+        ["same", "of"].map(|part| told[key][part].as_u64().expect("a count"))
+    };
+    let [same, of] = all(&own, "agreement");
+    assert!(same == of && remade["actions"] == of, "{own}");
+    let [same, of] = all(&own, "allocations");
+    assert!(same == of && of > 0, "{own}");
+    let other = json(&["eval", "models/save-the-city-large", "--on", name, "--json"]);
+    let share = |key: &str| {
+        let [same, of] = all(&other, key);
+        same as f64 / of as f64
+    };
+    assert!((0.2..1.0).contains(&share("agreement")), "{other}");
+    assert!(share("where_it_counts") > share("agreement"), "{other}");
+    let refused = output(&["eval", "models/routing", "--on", name]);
+    assert_fails(&refused, 78, &["is of contract", "models/routing has"]);
+    let verified =
+        json(&["verify", BUNDLE, "--observations", name, "--against", "golden", "--json"]);
+    assert!(
+        verified.to_string().contains(&format!("\"inputs\":{of}", of = remade["actions"])),
+        "{verified}"
+    );
+}
+
 /// Reasons are those of the decision in the record.
 fn explains(whole: &[u8], name: &str) {
     let actions = messages(whole, 2);
@@ -266,7 +294,7 @@ fn explains(whole: &[u8], name: &str) {
     let tick = tick.to_string();
     let asked = ["why", name, "--agent", &agent, "--tick", &tick];
     let told = json(&[&asked[..], &["--json"]].concat());
-    assert_eq!((told["agent"].to_string(), told["tick"].to_string()), (agent.clone(), tick));
+    assert_eq!([&told["agent"], &told["tick"]].map(Value::to_string), [&*agent, &*tick]);
     let best = &told["actions"][0];
     assert_eq!(best["action"], told["action"], "{told}");
     let utility = f64::from(f32::from_le_bytes(bytes(48)));
@@ -306,6 +334,7 @@ fn whatever_is_changed_in_a_record_that_a_decision_read_or_made_is_named() {
     std::fs::write(&file, &whole[..whole.len() - 1]).expect("there is room");
     assert!(json(&["remake", name, "--json"])["torn_at"].as_u64() > Some(1_000_000));
     explains(&whole, name);
+    serves_other_verbs(name);
     // A number that an agent sees, an action, its utility, and the first subtask of an allocation.
     let features = 64 + 64;
     let [frames, actions, allocations] = [1, 2, 3].map(|channel| messages(&whole, channel));

@@ -85,6 +85,17 @@ impl Contents {
         Ok(Self { path, facts, format, runners, engines, frames, torn_at, attached })
     }
 
+    /// Refuses a bundle that acts under another contract than the team did.
+    pub(super) fn check(&self, bundle: &Bundle) -> Result<(), Failure> {
+        let (ours, theirs) = (bundle.contract().hash(), self.facts.contract_hash());
+        if ours == theirs {
+            return Ok(());
+        }
+        let (path, folder) = (self.path.display(), bundle.folder().display());
+        let message = format!("{path} is of contract {theirs:016x}, {folder} has {ours:016x}");
+        Err(Failure::new(Exit::Mismatch, message))
+    }
+
     /// The bundle that the record brings along.
     pub(super) fn bundle(&self) -> Result<Bundle, Failure> {
         let folder = self.attached.as_ref().ok_or_else(|| {

@@ -5,20 +5,21 @@ use std::path::PathBuf;
 
 use clap::Args;
 use sortie_bundle::Bundle;
+use sortie_core::Policy;
 use sortie_core::choose::masked_argmax;
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameView};
-use sortie_core::{DecideError, Decision, Observation, Policy};
+use sortie_learn::draft::DecoratedPolicy;
 use sortie_plans::AttentionProbe;
 use sortie_stage::Thought;
 
+use super::Deployed;
+use super::comparison::Comparison;
 use super::contents::{Contents, Shown, Told};
 use super::reasons::{Allocated, Reasons};
-use super::roles::{Made, Roles, Team};
-use crate::deployment::open_bundle;
+use super::roles::{Made, Roles};
+use crate::deployment::{model_id, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Common, print_json, tell};
-use crate::policy::{Backend, DeployedPolicy};
-use crate::run::process::fallback;
 use crate::views::probes::{TeamNetwork, attention_of};
 
 /// How many ticks after its frame an answer may still come.
@@ -111,10 +112,7 @@ impl Asked {
 
 /// Plays the record up to the answer, and has it given aloud.
 fn reasons(contents: &Contents, bundle: &Bundle, asked: &Asked) -> Result<Reasons, Failure> {
-    let runners = contents.runners.iter();
-    let policies = runners.map(|_| DeployedPolicy::open(bundle, Backend::Plan));
-    let mut policies = policies.collect::<Result<Vec<_>, _>>()?;
-    let mut fallback = fallback(bundle)?;
+    let mut deployed = Deployed::open_agents(contents, bundle)?;
     let features = usize::from(bundle.contract().features);
     // Whom it attended to is read from the graph, which takes more than what decides.
     let layers = attention_of(bundle).unwrap_or_else(|failure| {
@@ -123,14 +121,18 @@ fn reasons(contents: &Contents, bundle: &Bundle, asked: &Asked) -> Result<Reason
     });
     let probe = layers.map(|layers| AttentionProbe::new(layers, features));
     let ear = Ear { is_open: Cell::new(false), probe, heard: RefCell::new(None) };
-    let teams = policies.iter_mut().map(DeployedPolicy::team).collect::<Result<Vec<_>, _>>()?;
-    let aloud = |(index, policy)| match index == asked.runner {
-        true => Aloud::boxed(policy, asked.answer.agent, &ear),
-        false => policy,
-    };
-    let policies = teams.into_iter().enumerate().map(aloud).collect();
-    let team = Team { policies, fallback: fallback.as_mut(), allocator: None };
-    let mut roles = Roles::new(contents, bundle, team);
+    let mut team = deployed.team()?;
+    team.policies = team
+        .policies
+        .into_iter()
+        .enumerate()
+        .map(|(index, policy)| match index == asked.runner {
+            true => aloud(policy, asked.answer.agent, &ear),
+            false => policy,
+        })
+        .collect();
+    let mut comparison = Comparison::new(model_id(bundle));
+    let mut roles = Roles::new(contents, bundle, team, &mut comparison);
     let (mut is_over, mut allocated) = (false, None);
     contents.replay(&mut |told| {
         is_over |= asked.is_over(&told);
@@ -209,34 +211,9 @@ struct Ear {
 }
 
 /// A runner's policy, of one of whose agents thoughts are heard.
-struct Aloud<'a> {
-    policy: Box<dyn Policy + 'a>,
-    agent: usize,
-    ear: &'a Ear,
-}
-
-impl<'a> Aloud<'a> {
-    fn boxed(policy: Box<dyn Policy + 'a>, agent: u16, ear: &'a Ear) -> Box<dyn Policy + 'a> {
-        Box::new(Self { policy, agent: agent.into(), ear })
-    }
-}
-
-impl Policy for Aloud<'_> {
-    fn actions(&self) -> usize {
-        self.policy.actions()
-    }
-
-    fn utilities(
-        &mut self,
-        observation: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        self.policy.utilities(observation, utilities)
-    }
-
-    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        let Self { policy, agent, ear } = self;
-        if !ear.is_open.get() || observation.self_index != *agent {
+fn aloud<'a>(policy: Box<dyn Policy + 'a>, agent: u16, ear: &'a Ear) -> Box<dyn Policy + 'a> {
+    Box::new(DecoratedPolicy::new(policy, move |policy, observation, _| {
+        if !ear.is_open.get() || observation.self_index != usize::from(agent) {
             return policy.decide(observation);
         }
         let mut utilities = vec![0.0; policy.actions()];
@@ -245,9 +222,5 @@ impl Policy for Aloud<'_> {
         let thought = Thought::new(&utilities, attention.transpose()?.unwrap_or_default());
         ear.heard.replace(Some(thought));
         masked_argmax(&utilities, observation.available)
-    }
-
-    fn begin_episode(&mut self) -> bool {
-        self.policy.begin_episode()
-    }
+    }))
 }
