@@ -121,3 +121,62 @@ impl Flight {
         self.files.wait()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use sortie_core::wire::FrameHeader;
+    use zerocopy::FromZeros;
+
+    use super::*;
+    use crate::output::Common;
+    use crate::record::files::Division;
+
+    #[derive(Parser)]
+    struct Nothing {
+        #[command(flatten)]
+        common: Common,
+    }
+
+    fn flight(events: Vec<Event>) -> Flight {
+        let division = Division { path: "run.mcap".into(), is_numbered: true, keep: None };
+        let files = Files::new(division, Nothing::parse_from(["test"]).common);
+        Flight::new(files, 10, events).expect("signals can be listened to")
+    }
+
+    fn action(flags: u16) -> ActionMsg {
+        ActionMsg { agent: 3, tick: 7 << 32 | 812, flags, ..ActionMsg::new_zeroed() }
+    }
+
+    #[test]
+    fn it_writes_for_what_was_chosen_and_for_the_first_of_it() {
+        let frame = FrameHeader::default();
+        let fallback = action(ActionMsg::FALLBACK | ActionMsg::STALE_ALLOC);
+        let late = action(ActionMsg::LATE);
+        for (events, why) in [
+            (vec![Event::Fallback], Some("agent 3, tick 812: its policy refused")),
+            (vec![Event::Late], Some("agent 3, tick 812: its action was late")),
+            (vec![Event::Late, Event::Fallback], Some("agent 3, tick 812: its action was late")),
+            (vec![Event::Death], None),
+        ] {
+            let mut flight = flight(events);
+            flight.hear(Heard::Frame(&frame, &[]), 1);
+            flight.hear(Heard::Action(&action(ActionMsg::STALE_ALLOC)), 2);
+            flight.hear(Heard::Action(&late), 3);
+            flight.hear(Heard::Action(&fallback), 4);
+            let due = flight.due.as_ref().map(|(_, why)| &**why);
+            assert_eq!(due, why);
+        }
+    }
+
+    #[test]
+    fn who_takes_leave_is_not_dead() {
+        let mut flight = flight(vec![Event::Death]);
+        let status = |pid, flags| StatMsg { pid, flags, ..StatMsg::new_zeroed() };
+        for pid in [1, 2] {
+            flight.hear(Heard::Status(&status(pid, 0)), 5);
+        }
+        flight.hear(Heard::Status(&status(1, StatMsg::BYE)), 6);
+        assert_eq!(flight.heard.keys().collect::<Vec<_>>(), [&2]);
+    }
+}
