@@ -28,7 +28,7 @@ pub mod npz;
 pub mod output;
 pub mod policy;
 mod record;
-mod remake;
+pub mod remake;
 mod replay;
 mod reproduce;
 pub mod run;

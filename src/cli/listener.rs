@@ -65,6 +65,11 @@ impl Listener {
         Ok(())
     }
 
+    /// When the last look was, by the domain's clock.
+    pub(crate) fn looked_ns(&self) -> u64 {
+        self.looked_ns
+    }
+
     /// Whether nobody has said anything for so long that the team is taken for gone.
     pub(crate) fn is_alone(&self) -> bool {
         u128::from(self.looked_ns - self.heard_ns) > SILENCE.as_nanos()

@@ -73,6 +73,22 @@ pub(crate) fn list(to: &mut Vec<u8>, fill: impl FnOnce(&mut Vec<u8>)) {
     patch(to, first, |bytes| (bytes as u32).to_le_bytes());
 }
 
+pub(crate) fn put_map(to: &mut Vec<u8>, entries: &[(&str, String)]) {
+    list(to, |to| {
+        for (key, value) in entries {
+            put_text(to, key);
+            put_text(to, value);
+        }
+    });
+}
+
+pub(crate) fn put_metadata(to: &mut Vec<u8>, name: &str, entries: &[(&str, String)]) {
+    record(to, opcode::METADATA, |to| {
+        put_text(to, name);
+        put_map(to, entries);
+    });
+}
+
 pub(crate) fn put_header(to: &mut Vec<u8>, profile: &str, library: &str) {
     record(to, opcode::HEADER, |to| {
         put_text(to, profile);

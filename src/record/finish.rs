@@ -18,10 +18,12 @@ use crate::read::{Fields, Raw, Reader};
 const CHUNK_BYTES: usize = 1 << 20;
 
 /// What became of a file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Finished {
     /// Its messages.
     pub messages: u64,
+    /// As many of them by channel.
+    pub by_channel: BTreeMap<u16, u64>,
     /// Its bytes before.
     pub bytes_before: u64,
     /// Its bytes now.
@@ -79,8 +81,9 @@ fn write_anew(reader: &mut Reader<BufReader<File>>, to: &Path) -> Result<Finishe
             Err(other) => return Err(other),
         }
     };
-    let (messages, bytes) = out.end()?;
-    Ok(Finished { messages, bytes, torn_at, ..Finished::default() })
+    let (by_channel, bytes) = out.end()?;
+    let messages = by_channel.values().sum();
+    Ok(Finished { messages, by_channel, bytes, torn_at, ..Finished::default() })
 }
 
 /// Where a record stands in the file.
@@ -283,8 +286,8 @@ impl Chunks {
         Ok(())
     }
 
-    /// Writes the index: how many messages there are, and bytes of the file.
-    fn end(mut self) -> Result<(u64, u64), RecordError> {
+    /// Writes the index: how many messages there are of each channel, and bytes of the file.
+    fn end(mut self) -> Result<(BTreeMap<u16, u64>, u64), RecordError> {
         self.end_chunk()?;
         let mut bytes = Vec::new();
         record(&mut bytes, opcode::DATA_END, |to| put_u32(to, 0));
@@ -310,6 +313,6 @@ impl Chunks {
         put_end(&mut bytes, begins);
         self.write(&bytes)?;
         self.to.sync_all()?;
-        Ok((messages, self.written))
+        Ok((self.messages, self.written))
     }
 }

@@ -12,6 +12,7 @@ mod encode;
 mod error;
 mod finish;
 mod read;
+mod recent;
 #[cfg(test)]
 mod tests;
 mod write;
@@ -19,4 +20,5 @@ mod write;
 pub use error::RecordError;
 pub use finish::{Finished, finish};
 pub use read::{Reader, Record};
+pub use recent::Recent;
 pub use write::{Message, Writer};

@@ -1,36 +1,45 @@
 //! What was written is read, whatever became of its end.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::Cursor;
 use std::path::PathBuf;
 
-use crate::{Finished, Message, Reader, Record, RecordError, Writer, finish};
+use crate::{Finished, Message, Reader, Recent, Record, RecordError, Writer, finish};
 
 /// Messages of the record below.
 const MESSAGES: u32 = 40;
 
-/// A record of everything that a record has, flushed after every message: where each of them ends.
-fn written() -> (Vec<u8>, Vec<usize>) {
-    let mut writer = Writer::new(Vec::new(), "sortie", "a test");
+/// The content of [`written`] so far as it is no message.
+fn begun() -> Writer {
+    let mut writer = Writer::new("sortie", "a test");
     writer.add_schema(1, ["numbers", "own"], b"one number after the other");
     writer.add_channel(7, 1, ["/numbers", "own"]);
     writer.add_attachment(["notes.txt", "text/plain"], 5, b"what is to be known");
-    let mut ends = Vec::new();
+    writer
+}
+
+fn add(writer: &mut Writer, sequence: u32) {
+    let log_time = 100 + 2 * u64::from(sequence);
+    let message = Message { channel: 7, sequence, log_time, publish_time: 9 };
+    writer.add_message(message, &[&sequence.to_le_bytes(), &[3; 50]]);
+}
+
+/// What is said at the end of a file.
+fn half() -> [(&'static str, String); 1] {
+    [("way", "there".to_owned())]
+}
+
+/// A record of everything that a record has, flushed after every message: where each of them ends.
+fn written() -> (Vec<u8>, Vec<usize>) {
+    let (mut writer, mut bytes, mut ends) = (begun(), Vec::new(), Vec::new());
     for sequence in 0..MESSAGES {
-        let message = Message {
-            channel: 7,
-            sequence,
-            log_time: 100 + 2 * u64::from(sequence),
-            publish_time: 9,
-        };
-        writer.add_message(message, &[&sequence.to_le_bytes(), &[3; 50]]);
-        if sequence == 20 {
-            writer.add_metadata("half", &[("way", "there".to_owned())]);
-        }
-        writer.flush().expect("memory");
-        ends.push(writer.bytes() as usize);
+        add(&mut writer, sequence);
+        writer.flush(&mut bytes).expect("memory");
+        ends.push(bytes.len());
     }
-    (writer.end().expect("memory"), ends)
+    writer.end(&mut bytes, ("half", &half())).expect("memory");
+    (bytes, ends)
 }
 
 /// Counts of all that is read, messages first, and how it ends.
@@ -82,6 +91,7 @@ fn what_is_written_is_read_before_and_after_it_is_finished() {
     let (_folder, path) = file("whole.mcap", &bytes);
     let finished = finish(&path).expect("it is sound");
     assert_eq!((finished.messages, finished.torn_at), (u64::from(MESSAGES), None));
+    assert_eq!(finished.by_channel, BTreeMap::from([(7, finished.messages)]));
     assert_eq!(finished.bytes_before, bytes.len() as u64);
     let after = fs::read(&path).expect("it is there");
     assert_eq!(finished.bytes, after.len() as u64);
@@ -98,8 +108,7 @@ fn a_record_that_is_cut_anywhere_has_all_that_was_flushed_before() {
     for length in 8..bytes.len() - 8 {
         let whole = ends.iter().filter(|end| **end <= length).count() as u32;
         let (messages, _, error) = read(&bytes[..length]);
-        // Where metadata was flushed with a message, the message may be whole and the metadata not.
-        assert!(messages == whole || messages == whole + 1, "{length}: {messages} of {whole}");
+        assert_eq!(messages, whole, "{length}");
         assert!(matches!(error, None | Some(RecordError::Torn { .. })), "{length}: {error:?}");
         if length % 97 == 0 {
             let (_folder, path) = file("cut.mcap", &bytes[..length]);
@@ -144,4 +153,55 @@ fn what_is_no_record_is_refused_by_name() {
     let (.., error) = read(&bytes);
     let said = error.expect("it is broken").to_string();
     assert!(said.starts_with("a schema at byte "), "{said}");
+}
+
+/// The numbers of a file's messages; each file has all the rest.
+fn numbers(bytes: &[u8]) -> Vec<u32> {
+    let mut reader = Reader::new(Cursor::new(bytes)).expect("a record");
+    let (mut numbers, mut others) = (Vec::new(), 0);
+    while let Some(record) = reader.next().expect("it is whole") {
+        match record {
+            Record::Message(message, _) => numbers.push(message.sequence),
+            record => others += u32::from(is_sound(&record)),
+        }
+    }
+    assert_eq!(others, 6, "header, schema, channel, attachment, metadata and the end");
+    numbers
+}
+
+#[test]
+fn a_record_goes_on_in_another_file() {
+    let (mut writer, mut bytes) = (begun(), [Vec::new(), Vec::new()]);
+    for sequence in 0..MESSAGES {
+        add(&mut writer, sequence);
+        let file = &mut bytes[usize::from(sequence >= 15)];
+        writer.flush(file).expect("memory");
+        if sequence == 14 {
+            writer.end(file, ("half", &half())).expect("memory");
+        }
+    }
+    writer.end(&mut bytes[1], ("half", &half())).expect("memory");
+    let [first, second] = bytes.map(|bytes| numbers(&bytes));
+    assert_eq!(first, Vec::from_iter(0..15));
+    assert_eq!(second, Vec::from_iter(15..MESSAGES));
+}
+
+#[test]
+fn the_newest_are_kept_until_they_are_saved() {
+    let (mut writer, mut recent) = (begun(), Recent::new(10));
+    let mut bytes = [Vec::new(), Vec::new()];
+    for sequence in 0..MESSAGES {
+        add(&mut writer, sequence);
+        recent.keep(&mut writer, u64::from(sequence));
+        if sequence == 25 {
+            recent.save(&mut writer, &mut bytes[0], ("half", &half())).expect("memory");
+            assert_eq!(recent.bytes(), 0);
+        }
+    }
+    let kept = recent.bytes();
+    let saved = recent.save(&mut writer, &mut bytes[1], ("half", &half())).expect("memory");
+    assert!(saved > kept && saved == bytes[1].len(), "{saved} of {kept}");
+    let [first, second] = bytes.map(|bytes| numbers(&bytes));
+    assert_eq!(first, Vec::from_iter(15..=25));
+    assert_eq!(second, Vec::from_iter(29..MESSAGES));
 }

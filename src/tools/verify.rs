@@ -13,10 +13,10 @@ use serde::Serialize;
 use sortie_bundle::{Bundle, POLICY, Recording};
 use sortie_cli::deployment::open_bundle;
 use sortie_cli::failure::{Exit, Failure, Outcome};
-use sortie_cli::files::read_recording;
 use sortie_cli::foreign::PolicyArguments;
 use sortie_cli::output::{Common, print_json};
 use sortie_cli::policy::{DeployedPolicy, PlanProfile};
+use sortie_cli::remake::read_observations;
 use sortie_cli::terminal;
 use sortie_cli::tools::{OnnxRuntimeArguments, compiler, engines, plans};
 use sortie_core::plan::Profile;
@@ -158,7 +158,7 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
         }
         if let Some(file) = &arguments.observations {
             spinner.set_message("comparing on recorded observations");
-            let recording = read_recording(file, &bundle)?;
+            let recording = read_observations(file, &bundle)?;
             engines.push(against_exact(&bundle, profile, &recording)?);
         }
     } else if arguments.observations.is_some() {

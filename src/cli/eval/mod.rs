@@ -18,11 +18,13 @@ use sortie_learn::subtasks::{Agents, Allocate, AllocatedTeam, PolicyAgents, Scri
 use self::attention::Attention;
 use crate::allocation::AllocatorChoice;
 use crate::allocator::ProposalArguments;
+use crate::deployment::open_bundle;
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::files::{EpisodeWriter, Kind, recording_of, recording_policy, try_output, write_output};
 use crate::output::{Common, Table, plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy, PlanProfile};
+use crate::remake::shadow;
 use crate::seeds::SeedRange;
 use crate::subject::{self, Subject};
 use crate::terminal::{self, CountedEpisodes};
@@ -40,6 +42,7 @@ use crate::terminal::{self, CountedEpisodes};
   sortie eval models/save-the-city --plan 24
   sortie eval models/save-the-city --profile int8
   sortie eval models/save-the-city --episodes 100 --dump observations.bin
+  sortie eval models/better --on run.mcap     # what it would have done where another team was recorded
   sortie eval scripted --env save-the-city/2-8a_2-8b --allocation heuristic")]
 pub(crate) struct EvalArguments {
     /// A bundle, a training run, or `scripted`
@@ -74,6 +77,13 @@ pub(crate) struct EvalArguments {
     /// Record what the agents of a bundle see into this file, for `sortie bench decision` and `sortie compile`
     #[arg(long, value_name = "FILE", conflicts_with = "plan")]
     dump: Option<PathBuf>,
+    /// Do not play: decide in every state of a record of a team at work, and tell where the bundle does otherwise
+    ///
+    /// Its agents act on what the recorded team was allocated. The decisions that count are the half in which it sets its
+    /// best action furthest apart from its second.
+    #[arg(long, value_name = "RECORD", conflicts_with_all = ["env", "episodes", "seeds", "allocation", "allocator", "plan",
+        "episodes_out", "dump", "attention", "backend", "profile"])]
+    on: Option<PathBuf>,
     /// Also tell whom the critic of a run looks at, agent by agent, means over all steps: of `maac`
     #[arg(long)]
     attention: bool,
@@ -140,6 +150,12 @@ struct Match<'a> {
 }
 
 pub(crate) fn run(arguments: &EvalArguments) -> Outcome {
+    if let Some(record) = &arguments.on {
+        let bundle = open_bundle(&arguments.subject)?;
+        let draws = (arguments.common.seed, arguments.proposals);
+        shadow(record, &bundle, draws)?.print(arguments.common);
+        return Ok(());
+    }
     let (spec, report) = evaluated(arguments)?;
     if arguments.common.json {
         print_json(&report);

@@ -1,6 +1,5 @@
 //! A record as it grows: messages as they are, and a line a tick for people.
 
-use std::io::{self, Write};
 
 use sortie_core::wire::{ABI, ActionMsg, AllocMsg, FrameHeader, Role, StatMsg};
 use sortie_ipc::{DomainFacts, Heard};
@@ -17,7 +16,7 @@ const FRAME: u16 = 1;
 const ACTION: u16 = 2;
 const ALLOCATION: u16 = 3;
 const STATUS: u16 = 4;
-const TICK: u16 = 5;
+pub(super) const TICK: u16 = 5;
 /// Topics of messages as they are, what they are called on the wire, and their bytes.
 const MESSAGES: [(u16, &str, &str, usize); 4] = [
     (FRAME, "/frame", "sortie.Frame", size_of::<FrameHeader>()),
@@ -28,21 +27,23 @@ const MESSAGES: [(u16, &str, &str, usize); 4] = [
 /// The encoding of messages as they are.
 const OWN: &str = "sortie";
 
-/// A record that is being written.
-pub(super) struct Log<W: Write> {
-    writer: Writer<W>,
+/// A record that is being written, wherever it goes.
+pub(super) struct Log {
+    pub(super) writer: Writer,
     /// What is added to a time of the domain's clock to have one since 1970.
     ahead_ns: u64,
     /// When the last message was read.
     now_ns: u64,
     ticks: Ticks,
     missed: Missed,
+    /// What was missed before the file began.
+    missed_before: u64,
 }
 
-impl<W: Write> Log<W> {
+impl Log {
     /// Begins a record of a domain.
-    pub(super) fn new(to: W, facts: &DomainFacts, ahead_ns: u64) -> Result<Self, Failure> {
-        let mut writer = Writer::new(to, OWN, concat!("sortie ", env!("CARGO_PKG_VERSION")));
+    pub(super) fn new(facts: &DomainFacts, ahead_ns: u64) -> Result<Self, Failure> {
+        let mut writer = Writer::new(OWN, concat!("sortie ", env!("CARGO_PKG_VERSION")));
         let text = toml::to_string(facts).map_err(Failure::bug)?;
         for (id, topic, name, bytes) in MESSAGES {
             // Who reads it needs the version of the layout, and the sizes of what follows a frame's head.
@@ -55,7 +56,7 @@ impl<W: Write> Log<W> {
         writer.add_attachment(["domain.toml", "application/toml"], ahead_ns, text.as_bytes());
         let agents = facts.shape().agents;
         let (ticks, missed) = (Ticks::new(agents), Missed::default());
-        Ok(Self { writer, ahead_ns, now_ns: 0, ticks, missed })
+        Ok(Self { writer, ahead_ns, now_ns: 0, ticks, missed, missed_before: 0 })
     }
 
     /// A file that the record brings along.
@@ -135,22 +136,10 @@ impl<W: Write> Log<W> {
         self.ticks.count()
     }
 
-    /// Messages that came and went before they were read, as far as later ones of their senders show.
-    pub(super) fn missed(&self) -> u64 {
-        self.missed.count()
-    }
-
-    /// Writes what was added.
-    pub(super) fn flush(&mut self) -> io::Result<()> {
-        self.writer.flush()
-    }
-
-    /// Ends the record, with what was missed.
-    pub(super) fn end(mut self) -> io::Result<W> {
-        let (ticks, missed) = (self.ticks(), self.missed().to_string());
+    /// Ends what belongs to a file. Returns how many messages were missed since the one before.
+    pub(super) fn end_file(&mut self) -> u64 {
         self.end_tick();
-        let told = [("ticks", ticks.to_string()), ("missed", missed)];
-        self.writer.add_metadata("sortie.record", &told);
-        self.writer.end()
+        let before = std::mem::replace(&mut self.missed_before, self.missed.count());
+        self.missed.count() - before
     }
 }

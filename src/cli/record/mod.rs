@@ -1,24 +1,24 @@
 //! `sortie record`: what a team says while it works, in a file.
 
+mod files;
+mod flight;
 mod log;
 mod ticks;
 
-use std::fs::File;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use clap::Args;
-use serde::Serialize;
 use sortie_core::link::Clock;
-use sortie_ipc::{Domain, DomainFacts, MonotonicClock};
-use sortie_record::{Finished, RecordError, finish};
+use sortie_ipc::{Domain, DomainFacts, Heard, MonotonicClock, Stop};
 
 use crate::deployment::{model_id, model_text, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::listener::Listener;
-use crate::output::{Common, plural, print_json, say};
+use crate::output::{Common, plural};
 use crate::terminal::{spinner, stop_on_signals};
+use files::{Division, Files, Written, finish_alone};
+use flight::{Event, Flight};
 use log::Log;
 
 /// The longest sleep between two looks.
@@ -34,11 +34,13 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
   sortie record                                   # until the team ends, or Ctrl-C
   sortie record models/save-the-city --output monday.mcap --domain north
   sortie record --ticks 10000 --json
+  sortie record --split 500MB --keep 10           # for weeks: run-1.mcap, run-2.mcap, ...
+  sortie record --last 60s --on fallback,death    # the minute before something happens, when it does
   sortie record --finish monday.mcap              # after its recorder was killed")]
 pub(crate) struct RecordArguments {
     /// Folder of the bundle that the team runs, which the record then brings along
     bundle: Option<PathBuf>,
-    /// File to write
+    /// File to write; `run-1.mcap`, `run-2.mcap` and so on where there may be several
     #[arg(short, long, value_name = "FILE", default_value = "run.mcap")]
     output: PathBuf,
     /// Domain of the team
@@ -47,55 +49,137 @@ pub(crate) struct RecordArguments {
     /// End after so many ticks
     #[arg(long, value_name = "COUNT")]
     ticks: Option<u64>,
+    /// Begin another file where one has become so large: 500MB, 1GB
+    #[arg(long, value_name = "SIZE", value_parser = size, conflicts_with = "last")]
+    split: Option<u64>,
+    /// Keep so much of the past in memory, 60s or 5min, and write it when something happens, or on SIGUSR1
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    last: Option<u64>,
+    /// What is written for with --last
+    #[arg(
+        long,
+        value_name = "EVENTS",
+        value_enum,
+        value_delimiter = ',',
+        requires = "last",
+        default_value = "fallback,late,death"
+    )]
+    on: Vec<Event>,
+    /// Keep the newest files only, so many of them
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u64).range(1..))]
+    keep: Option<u64>,
     /// Compress and index a record instead, and cut off what was written in part
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["bundle", "output", "ticks"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["bundle", "output", "ticks", "split", "last", "keep"])]
     finish: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
 
-/// What became of a record, for scripts.
-#[derive(Serialize)]
-struct Became<'a> {
-    file: &'a Path,
-    ticks: u64,
-    messages: u64,
-    /// Messages that came and went before they were read, by their numbers.
-    missed: u64,
-    bytes_running: u64,
-    bytes: u64,
-    /// Where it had been cut off, if it was.
-    torn_at: Option<u64>,
+fn size(text: &str) -> Result<u64, String> {
+    const UNITS: [(&str, f64); 4] = [("GB", 1e9), ("MB", 1e6), ("kB", 1e3), ("B", 1.0)];
+    measure(text, &UNITS)
+}
+
+/// In nanoseconds.
+fn time(text: &str) -> Result<u64, String> {
+    const UNITS: [(&str, f64); 4] = [("ms", 1e6), ("s", 1e9), ("min", 60e9), ("h", 3600e9)];
+    measure(text, &UNITS)
+}
+
+/// A number with its unit, in the smallest one.
+fn measure(text: &str, units: &[(&str, f64)]) -> Result<u64, String> {
+    let digits = text.find(|letter: char| letter.is_alphabetic()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let factor = units.iter().find(|(name, _)| *name == unit).map(|(_, factor)| factor);
+    let number: Option<f64> = number.trim().parse().ok();
+    let all = number.zip(factor).map(|(number, factor)| number * factor);
+    all.filter(|all| (1.0..9e18).contains(all)).map(|all| all as u64).ok_or_else(|| {
+        let units: Vec<_> = units.iter().map(|(name, _)| *name).collect();
+        format!("a number and its unit are wanted, one of {}", units.join(", "))
+    })
+}
+
+/// Where a record goes.
+enum Output {
+    Files(Written),
+    Memory(Box<Flight>),
+}
+
+impl Output {
+    fn open(arguments: &RecordArguments) -> Result<Self, Failure> {
+        let RecordArguments { output, split, last, on, keep, common, .. } = arguments;
+        let division = Division {
+            path: output.clone(),
+            is_numbered: split.is_some() || last.is_some(),
+            keep: keep.map(|keep| keep as usize),
+        };
+        let files = Files::new(division, *common);
+        Ok(match last {
+            Some(span_ns) => Self::Memory(Box::new(Flight::new(files, *span_ns, on.clone())?)),
+            None => Self::Files(Written::new(files, *split)?),
+        })
+    }
+
+    fn hear(&mut self, heard: Heard<'_>, now_ns: u64) {
+        if let Self::Memory(flight) = self {
+            flight.hear(heard, now_ns);
+        }
+    }
+
+    /// Writes or keeps what was added.
+    fn look(&mut self, log: &mut Log, now_ns: u64) -> Outcome {
+        match self {
+            Self::Files(files) => files.look(log),
+            Self::Memory(flight) => flight.look(log, now_ns),
+        }
+    }
+
+    fn end(self, log: &mut Log) -> Outcome {
+        match self {
+            Self::Files(files) => files.end(log),
+            Self::Memory(flight) => flight.end(log),
+        }
+    }
 }
 
 pub(crate) fn run(arguments: &RecordArguments) -> Outcome {
     if let Some(file) = &arguments.finish {
         return finish_alone(file, arguments.common);
     }
-    let log = record(arguments)?;
-    let (ticks, missed) = (log.ticks(), log.missed());
-    log.end().map_err(|error| Failure::file(&arguments.output, &error))?;
-    let finished = finished(&arguments.output)?;
-    tell(&arguments.output, (ticks, missed), finished, arguments.common);
-    Ok(())
-}
-
-/// Records until the team ends or the user does.
-fn record(arguments: &RecordArguments) -> Result<Log<File>, Failure> {
     let stop = stop_on_signals()?;
     let domain = Domain::new(&arguments.domain)?;
-    let mut listener = Listener::enter(&domain, "recorder")?;
+    let listener = Listener::enter(&domain, "recorder")?;
     let facts = listener.facts();
-    let mut log = Log::new(create(&arguments.output)?, facts, wall_clock_ahead_ns())?;
+    let mut log = Log::new(facts, wall_clock_ahead_ns())?;
     if let Some(folder) = &arguments.bundle {
         attach(&mut log, folder, facts)?;
     }
+    let mut output = Output::open(arguments)?;
+    let ended = record(listener, (&mut log, &mut output), &stop, arguments);
+    // What was written before a failure is as good as ever.
+    output.end(&mut log).and(ended)
+}
+
+/// Records until the team ends or the user does.
+fn record(
+    mut listener: Listener,
+    (log, output): (&mut Log, &mut Output),
+    stop: &Stop,
+    arguments: &RecordArguments,
+) -> Outcome {
     let spinner = spinner(arguments.common);
-    let mut is_over = false;
+    let (mut told_ns, mut is_over) = (0, false);
     while !is_over {
-        listener.look(&mut |heard, now_ns| is_over |= log.add(heard, now_ns))?;
-        log.flush().map_err(|error| full(&arguments.output, &error, log.ticks()))?;
-        spinner.set_message(plural(log.ticks() as usize, "tick"));
+        listener.look(&mut |heard, now_ns| {
+            output.hear(heard, now_ns);
+            is_over |= log.add(heard, now_ns);
+        })?;
+        let now_ns = listener.looked_ns();
+        output.look(log, now_ns)?;
+        if now_ns - told_ns > LOOK_EVERY.as_nanos() as u64 {
+            told_ns = now_ns;
+            spinner.set_message(plural(log.ticks() as usize, "tick"));
+        }
         is_over |= arguments.ticks.is_some_and(|most| log.ticks() >= most);
         is_over |= stop.is_set() || listener.is_alone();
         if !is_over {
@@ -103,17 +187,7 @@ fn record(arguments: &RecordArguments) -> Result<Log<File>, Failure> {
         }
     }
     spinner.finish_and_clear();
-    Ok(log)
-}
-
-fn create(path: &Path) -> Result<File, Failure> {
-    File::create_new(path).map_err(|error| match error.kind() {
-        ErrorKind::AlreadyExists => {
-            let there = format!("{} is there already", path.display());
-            Failure::new(Exit::Usage, format!("{there}: name another file by --output"))
-        }
-        _ => Failure::file(path, &error),
-    })
+    Ok(())
 }
 
 /// How much more the time since 1970 is than that of the domain's clock.
@@ -123,7 +197,7 @@ fn wall_clock_ahead_ns() -> u64 {
 }
 
 /// Has the record bring along the bundle of the team.
-fn attach(log: &mut Log<File>, folder: &Path, facts: &DomainFacts) -> Outcome {
+fn attach(log: &mut Log, folder: &Path, facts: &DomainFacts) -> Outcome {
     let bundle = open_bundle(folder)?;
     let model = model_text(model_id(&bundle));
     if model != facts.model() {
@@ -146,50 +220,4 @@ fn attach(log: &mut Log<File>, folder: &Path, facts: &DomainFacts) -> Outcome {
         log.attach(&format!("bundle/{name}"), &data);
     }
     Ok(())
-}
-
-/// A record that cannot go on: the team does, and what was written before can be read.
-fn full(path: &Path, error: &std::io::Error, ticks: u64) -> Failure {
-    let message = format!(
-        "{}: {error}; it holds {}, to be finished where there is room: sortie record --finish {}",
-        path.display(),
-        plural(ticks as usize, "tick"),
-        path.display()
-    );
-    Failure::new(Exit::InputOutput, message)
-}
-
-fn finish_alone(file: &Path, common: Common) -> Outcome {
-    let finished = finished(file)?;
-    if finished.was_finished && !common.json {
-        say!("{} is finished", file.display());
-        return Ok(());
-    }
-    tell(file, (0, 0), finished, common);
-    Ok(())
-}
-
-fn finished(file: &Path) -> Result<Finished, Failure> {
-    finish(file).map_err(|error| match error {
-        RecordError::Io(error) => Failure::file(file, &error),
-        other => Failure::new(Exit::BadData, format!("{}: {other}", file.display())),
-    })
-}
-
-fn tell(file: &Path, (ticks, missed): (u64, u64), finished: Finished, common: Common) {
-    let Finished { messages, bytes_before, bytes, torn_at, .. } = finished;
-    if common.json {
-        let bytes_running = bytes_before;
-        print_json(&Became { file, ticks, messages, missed, bytes_running, bytes, torn_at });
-        return;
-    }
-    let megabytes = |bytes: u64| bytes as f64 / 1e6;
-    let sizes = format!("{:.1} MB, {:.1} before", megabytes(bytes), megabytes(bytes_before));
-    say!("{}: {}, {sizes}", file.display(), plural(messages as usize, "message"));
-    if let Some(at) = torn_at {
-        say!("it had been cut off at byte {at}");
-    }
-    if missed > 0 {
-        say!("{} came and went before they were read", plural(missed as usize, "message"));
-    }
 }

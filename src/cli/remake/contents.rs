@@ -39,6 +39,8 @@ pub(super) struct Contents {
     /// Those whose network runs in an engine.
     pub(super) engines: BTreeSet<u32>,
     pub(super) frames: u64,
+    /// Where it was cut off, if it was.
+    pub(super) torn_at: Option<u64>,
     /// The bundle's files, if the record has them.
     attached: Option<tempfile::TempDir>,
 }
@@ -49,7 +51,7 @@ impl Contents {
         let (mut domain, mut attached) = (None, None);
         let (mut runners, mut engines, mut frames) = (BTreeSet::new(), BTreeSet::new(), 0);
         let mut topics = Topics::default();
-        each(path, &mut |record| {
+        let torn_at = each(path, &mut |record| {
             match record {
                 Record::Attachment { name: "domain.toml", data } => {
                     domain = Some(String::from_utf8_lossy(data).into_owned());
@@ -80,7 +82,18 @@ impl Contents {
         // A record of others may state sizes that no domain has.
         let format = facts.format().map_err(|error| bad(path, error))?;
         let path = path.to_owned();
-        Ok(Self { path, facts, format, runners, engines, frames, attached })
+        Ok(Self { path, facts, format, runners, engines, frames, torn_at, attached })
+    }
+
+    /// Refuses a bundle that acts under another contract than the team did.
+    pub(super) fn check(&self, bundle: &Bundle) -> Result<(), Failure> {
+        let (ours, theirs) = (bundle.contract().hash(), self.facts.contract_hash());
+        if ours == theirs {
+            return Ok(());
+        }
+        let (path, folder) = (self.path.display(), bundle.folder().display());
+        let message = format!("{path} is of contract {theirs:016x}, {folder} has {ours:016x}");
+        Err(Failure::new(Exit::Mismatch, message))
     }
 
     /// The bundle that the record brings along.
@@ -112,7 +125,8 @@ impl Contents {
                 _ => {}
             }
             Ok(())
-        })
+        })?;
+        Ok(())
     }
 }
 
@@ -151,17 +165,18 @@ impl Topics {
     }
 }
 
-/// Shows every part of a record to `take`, up to where it was cut off.
+/// Shows every part of a record to `take`, up to where it was cut off: returns where, if it was.
 fn each(
     path: &Path,
     take: &mut dyn FnMut(Record<'_>) -> Result<(), String>,
-) -> Result<(), Failure> {
+) -> Result<Option<u64>, Failure> {
     let file = File::open(path).map_err(|error| Failure::file(path, &error))?;
     let mut reader = Reader::new(BufReader::new(file)).map_err(|error| bad(path, error))?;
     loop {
         match reader.next() {
             Ok(Some(record)) => take(record).map_err(|reason| bad(path, reason))?,
-            Ok(None) | Err(RecordError::Torn { .. }) => return Ok(()),
+            Ok(None) => return Ok(None),
+            Err(RecordError::Torn { at }) => return Ok(Some(at)),
             Err(error) => return Err(bad(path, error)),
         }
     }
@@ -192,9 +207,10 @@ mod tests {
             ("domain.toml", &nobody, "agents"),
             ("bundle/../../elsewhere", "", "is no name of a file"),
         ] {
-            let mut writer = Writer::new(Vec::new(), "sortie", "a test");
+            let (mut writer, mut bytes) = (Writer::new("sortie", "a test"), Vec::new());
             writer.add_attachment([name, "text/plain"], 0, text.as_bytes());
-            fs::write(&path, writer.end().expect("memory")).expect("there is room");
+            writer.flush(&mut bytes).expect("memory");
+            fs::write(&path, bytes).expect("there is room");
             let Err(refused) = Contents::read(&path) else { panic!("{name} is taken") };
             assert!(refused.message.contains(reason), "{}", refused.message);
             assert!(matches!(refused.exit, Exit::BadData), "{}", refused.message);

@@ -1,8 +1,16 @@
 //! `sortie remake`: the decisions of a record made again, from the record alone.
 
+mod comparison;
 mod contents;
+mod observed;
 mod playback;
+mod reasons;
 mod roles;
+mod shadow;
+pub(crate) mod why;
+
+pub use observed::read_observations;
+pub(crate) use shadow::shadow;
 
 use std::path::{Path, PathBuf};
 
@@ -12,13 +20,15 @@ use sortie_bundle::Bundle;
 
 use crate::allocation::AllocatorChoice;
 use crate::allocator::{DeployedAllocator, ProposalArguments};
-use crate::deployment::open_bundle;
+use crate::deployment::{model_id, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Common, plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::run::process::fallback;
+use crate::worlds::RuleAllocator;
+use comparison::{Comparison, Difference};
 use contents::Contents;
-use roles::{Difference, Made, Roles, Team};
+use roles::{Made, Roles, Team};
 
 /// Make every decision of a record again, and name the first that comes out otherwise
 ///
@@ -47,6 +57,9 @@ pub(crate) struct RemakeArguments {
 struct Remade<'a> {
     record: &'a Path,
     frames: u64,
+    /// Where the record was cut off, if it was.
+    torn_at: Option<u64>,
+    different: u64,
     #[serde(flatten)]
     made: Made,
     first_difference: Option<&'a Difference>,
@@ -58,32 +71,51 @@ pub(crate) fn run(arguments: &RemakeArguments) -> Outcome {
         Some(folder) => open_bundle(folder)?,
         None => contents.bundle()?,
     };
-    let (made, first_difference) = remake(&contents, &bundle, arguments)?;
-    report(arguments, &contents, made, first_difference.as_ref())
+    let draws = (arguments.common.seed, arguments.proposals);
+    let mut deployed = Deployed::open(&contents, &bundle, draws)?;
+    let mut comparison = Comparison::new(model_id(&bundle));
+    let mut roles = Roles::new(&contents, &bundle, deployed.team()?, &mut comparison);
+    contents.replay(&mut |message| roles.hear(message))?;
+    let made = roles.end();
+    report(arguments, &contents, made, &comparison)
 }
 
-/// Decides all of it again.
-fn remake(
-    contents: &Contents,
-    bundle: &Bundle,
-    arguments: &RemakeArguments,
-) -> Result<(Made, Option<Difference>), Failure> {
-    let runners = contents.runners.iter();
-    let policies = runners.map(|_| DeployedPolicy::open(bundle, Backend::Plan));
-    let mut policies = policies.collect::<Result<Vec<_>, _>>()?;
-    let mut fallback = fallback(bundle)?;
-    let seed = arguments.common.seed;
-    let choice = contents.facts.allocation().map(choice).transpose()?;
-    let draws = (seed, arguments.proposals);
-    let mut allocator = DeployedAllocator::open_for(bundle, choice, Backend::Plan, draws)?;
-    let team = Team {
-        policies: policies.iter_mut().map(DeployedPolicy::team).collect::<Result<_, _>>()?,
-        fallback: fallback.as_mut(),
-        allocator: allocator.as_mut().map(DeployedAllocator::allocator).transpose()?,
-    };
-    let mut roles = Roles::new(contents, bundle, team);
-    contents.replay(&mut |message| roles.hear(message))?;
-    Ok(roles.end())
+/// What decided in a team, opened once more.
+struct Deployed {
+    /// One for each runner, in the order of their numbers.
+    policies: Vec<DeployedPolicy>,
+    fallback: Option<RuleAllocator>,
+    allocator: Option<DeployedAllocator>,
+}
+
+impl Deployed {
+    /// Agents and allocator, which draws as it is told.
+    fn open(
+        contents: &Contents,
+        bundle: &Bundle,
+        draws: (u64, ProposalArguments),
+    ) -> Result<Self, Failure> {
+        let choice = contents.facts.allocation().map(choice).transpose()?;
+        let allocator = DeployedAllocator::open_for(bundle, choice, Backend::Plan, draws)?;
+        Ok(Self { allocator, ..Self::open_agents(contents, bundle)? })
+    }
+
+    /// Nobody but the agents.
+    fn open_agents(contents: &Contents, bundle: &Bundle) -> Result<Self, Failure> {
+        contents.check(bundle)?;
+        let policies = contents.runners.iter().map(|_| DeployedPolicy::open(bundle, Backend::Plan));
+        let policies = policies.collect::<Result<_, _>>()?;
+        Ok(Self { policies, fallback: fallback(bundle)?, allocator: None })
+    }
+
+    fn team(&mut self) -> Result<Team<'_>, Failure> {
+        let Self { policies, fallback, allocator } = self;
+        Ok(Team {
+            policies: policies.iter_mut().map(DeployedPolicy::team).collect::<Result<_, _>>()?,
+            fallback: fallback.as_mut(),
+            allocator: allocator.as_mut().map(DeployedAllocator::allocator).transpose()?,
+        })
+    }
 }
 
 fn choice(name: &str) -> Result<AllocatorChoice, Failure> {
@@ -99,15 +131,18 @@ fn report(
     arguments: &RemakeArguments,
     contents: &Contents,
     made: Made,
-    first_difference: Option<&Difference>,
+    comparison: &Comparison,
 ) -> Outcome {
+    let Comparison { different, first_difference, .. } = comparison;
     if arguments.common.json {
-        let (record, frames) = (&*arguments.record, contents.frames);
-        print_json(&Remade { record, frames, made, first_difference });
+        let Contents { frames, torn_at, .. } = *contents;
+        let record = &*arguments.record;
+        let (different, first_difference) = (*different, first_difference.as_ref());
+        print_json(&Remade { record, frames, torn_at, different, made, first_difference });
     } else {
         let [actions, allocations] = [(made.actions, "action"), (made.allocations, "allocation")]
             .map(|(count, what)| plural(count as usize, what));
-        say!("{actions} and {allocations} made again, {} of them otherwise", made.different);
+        say!("{actions} and {allocations} made again, {different} of them otherwise");
         for (count, why) in [
             (made.before_record, "are about a frame or an allocation that the record lacks"),
             (made.of_others, "were decided by another bundle"),
@@ -117,6 +152,9 @@ fn report(
             if count > 0 {
                 say!("{count} {why}: not made again");
             }
+        }
+        if let Some(at) = contents.torn_at {
+            say!("the record was cut off at byte {at}");
         }
     }
     match first_difference {

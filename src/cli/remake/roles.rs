@@ -1,13 +1,12 @@
 //! The roles of a team, fed by its record.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::fmt;
 
 use serde::Serialize;
 use sortie_bundle::{Bundle, SubtaskConditioning};
 use sortie_core::roles::{AllocatorOptions, AllocatorRole, Identity, RunnerOptions, RunnerRole};
 use sortie_core::wire::{ActionMsg, AllocMsg};
-use sortie_core::{Allocator, Policy, UNASSIGNED};
+use sortie_core::{Allocator, Policy};
 
 use super::contents::{Contents, Shown, Told};
 use super::playback::Playback;
@@ -16,10 +15,6 @@ use crate::worlds::RuleAllocator;
 
 /// Frames and allocations that are kept for answers to come: a runner answers the newest frame or the one before.
 const KEPT: usize = 8;
-/// What of an answer is the same whenever it is given.
-const DECIDED: u16 =
-    ActionMsg::STALE_ALLOC | ActionMsg::NO_ALLOC | ActionMsg::FALLBACK | ActionMsg::STATE_RESET;
-
 /// Who decides again.
 pub(super) struct Team<'a> {
     /// One for each runner, in the order of their numbers.
@@ -33,34 +28,22 @@ pub(super) struct Team<'a> {
 pub(super) struct Made {
     pub(super) actions: u64,
     pub(super) allocations: u64,
-    pub(super) different: u64,
     pub(super) before_record: u64,
     pub(super) of_others: u64,
     pub(super) of_engines: u64,
     pub(super) without_memory: u64,
 }
 
-/// A decision that came out otherwise.
-#[derive(Clone, Debug, Serialize)]
-pub(super) struct Difference {
-    pub(super) tick: u32,
-    pub(super) episode: u32,
-    /// None of an allocation.
-    pub(super) agent: Option<u16>,
-    pub(super) what: &'static str,
-    pub(super) recorded: String,
-    pub(super) made: String,
-}
+/// Who judges what is decided again.
+pub(super) trait Judge {
+    /// Whether decisions of this model, as far as messages name it, are to be made again.
+    fn takes(&self, model: u32) -> bool;
 
-impl fmt::Display for Difference {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { tick, episode, agent, what, recorded, made } = self;
-        write!(f, "tick {tick}, episode {episode}")?;
-        if let Some(agent) = agent {
-            write!(f, ", agent {agent}")?;
-        }
-        write!(f, ": {what} is {recorded} in the record, and {made} made again")
-    }
+    /// An answer, and what came of it; `None`: nothing did.
+    fn action(&mut self, recorded: &ActionMsg, made: Option<&ActionMsg>, frame: &Shown);
+
+    /// An allocation, and what came of it, or why nothing did.
+    fn allocation(&mut self, recorded: &AllocMsg, made: Result<&AllocMsg, String>, frame: &Shown);
 }
 
 /// A runner that decides again.
@@ -107,15 +90,19 @@ pub(super) struct Roles<'a> {
     runners: BTreeMap<u32, Runner<'a>>,
     fallback: Option<&'a mut RuleAllocator>,
     allocator: Option<(AllocatorRole, Box<dyn Allocator + 'a>)>,
-    model: u32,
+    judge: &'a mut dyn Judge,
     frames: VecDeque<Shown>,
     allocations: VecDeque<AllocMsg>,
     made: Made,
-    first_difference: Option<Difference>,
 }
 
 impl<'a> Roles<'a> {
-    pub(super) fn new(contents: &Contents, bundle: &Bundle, team: Team<'a>) -> Self {
+    pub(super) fn new(
+        contents: &Contents,
+        bundle: &Bundle,
+        team: Team<'a>,
+        judge: &'a mut dyn Judge,
+    ) -> Self {
         let (contract, facts) = (bundle.contract(), &contents.facts);
         let format = contents.format;
         let identity = Identity { model: model_id(bundle), ..Identity::new(0, "remake") };
@@ -135,17 +122,15 @@ impl<'a> Roles<'a> {
             let (knows, waiting) = (!remembers, Vec::new());
             (*pid, Runner { role, policy, remembers, knows, is_engine, waiting })
         };
-        let [a, b, c, d, ..] = model_id(bundle);
         let options = AllocatorOptions { format, identity, decision_interval };
         Self {
             runners: contents.runners.iter().zip(team.policies).map(runner).collect(),
             fallback: team.fallback,
             allocator: team.allocator.map(|it| (AllocatorRole::new(options), it)),
-            model: u32::from_le_bytes([a, b, c, d]),
+            judge,
             frames: VecDeque::new(),
             allocations: VecDeque::new(),
             made: Made::default(),
-            first_difference: None,
         }
     }
 
@@ -176,20 +161,30 @@ impl<'a> Roles<'a> {
         }
     }
 
-    /// What was made, and the first that came out otherwise.
-    pub(super) fn end(mut self) -> (Made, Option<Difference>) {
+    /// Has all runners answer what waits. Returns what was made.
+    pub(super) fn end(mut self) -> Made {
         let runners: Vec<u32> = self.runners.keys().copied().collect();
         runners.into_iter().for_each(|runner| self.answer(runner));
-        (self.made, self.first_difference)
+        self.made
+    }
+
+    /// A frame that was shown a few ticks ago.
+    pub(super) fn frame(&self, tick: u64) -> Option<&Shown> {
+        self.frames.iter().find(|frame| frame.header.tick == tick)
+    }
+
+    /// What was made so far, and what was not.
+    pub(super) fn made(&self) -> Made {
+        self.made
     }
 
     /// Has a runner answer again what it answered last.
-    fn answer(&mut self, runner: u32) {
+    pub(super) fn answer(&mut self, runner: u32) {
         let Some(runner) = self.runners.get_mut(&runner) else { return };
         let answers = std::mem::take(&mut runner.waiting);
         let Some(first) = answers.first() else { return };
         let count = answers.len() as u64;
-        if first.model != self.model {
+        if !self.judge.takes(first.model) {
             self.made.of_others += count;
             return;
         }
@@ -199,8 +194,8 @@ impl<'a> Roles<'a> {
         }
         let order = (first.alloc_term, first.alloc_epoch);
         let allocation = self.allocations.iter().rfind(|it| it.order() == order);
-        let frame = self.frames.iter().find(|frame| frame.header.tick == first.tick);
-        let frame = frame.filter(|_| order == (0, 0) || allocation.is_some());
+        let found = self.frames.iter().find(|frame| frame.header.tick == first.tick);
+        let frame = found.filter(|_| order == (0, 0) || allocation.is_some());
         let Some(frame) = frame else {
             self.made.before_record += count;
             runner.knows = !runner.remembers;
@@ -214,16 +209,13 @@ impl<'a> Roles<'a> {
         self.made.actions += count;
         for recorded in &answers {
             let made = made.iter().find(|made| made.agent == recorded.agent);
-            if let Some(difference) = different(recorded, made, frame.header.episode) {
-                self.made.different += 1;
-                self.first_difference.get_or_insert(difference);
-            }
+            self.judge.action(recorded, made, frame);
         }
     }
 
     /// Has the allocator allocate again what it allocated.
     fn allocate(&mut self, recorded: &AllocMsg) {
-        if recorded.model != self.model {
+        if !self.judge.takes(recorded.model) {
             self.made.of_others += 1;
             return;
         }
@@ -237,27 +229,11 @@ impl<'a> Roles<'a> {
         let mut link = Playback::new(frame, None);
         let polled = role.poll(&mut link, allocator.as_mut());
         self.made.allocations += 1;
-        let made = link.allocations.first();
-        let agents = usize::from(recorded.n_agents);
-        let tasks = |message: &AllocMsg| -> Vec<Option<u8>> {
-            let tasks = message.task.iter().take(agents);
-            tasks.map(|task| Some(*task).filter(|task| *task != UNASSIGNED)).collect()
-        };
-        if made.is_none_or(|made| tasks(made) != tasks(recorded)) {
-            self.made.different += 1;
-            self.first_difference.get_or_insert_with(|| Difference {
-                tick: recorded.tick as u32,
-                episode: frame.header.episode,
-                agent: None,
-                what: "the allocation",
-                recorded: format!("{:?}", tasks(recorded)),
-                made: match (made, polled) {
-                    (Some(made), _) => format!("{:?}", tasks(made)),
-                    (None, Err(error)) => format!("refused: {error}"),
-                    (None, Ok(_)) => "none".to_owned(),
-                },
-            });
-        }
+        let made = link.allocations.first().ok_or_else(|| match polled {
+            Err(error) => format!("refused: {error}"),
+            Ok(_) => "none".to_owned(),
+        });
+        self.judge.allocation(recorded, made, frame);
     }
 }
 
@@ -274,34 +250,4 @@ fn model_of(answer: &ActionMsg) -> [u8; 16] {
     let mut model = [0; 16];
     model[..4].copy_from_slice(&answer.model.to_le_bytes());
     model
-}
-
-/// What is decided of an answer: its name, its bits, and how it is told.
-type Field = (&'static str, fn(&ActionMsg) -> u64, fn(&ActionMsg) -> String);
-const FIELDS: [Field; 5] = [
-    ("the action", |it| it.action.into(), |it| it.action.to_string()),
-    ("the subtask", |it| it.task.into(), |it| it.task.to_string()),
-    ("the utility", |it| it.q.to_bits().into(), |it| format!("{} ({:08x})", it.q, it.q.to_bits())),
-    (
-        "the allocation acted on",
-        |it| u64::from(it.alloc_term) << 32 | u64::from(it.alloc_epoch),
-        |it| format!("{} of term {}", it.alloc_epoch, it.alloc_term),
-    ),
-    (
-        "the set of flags",
-        |it| (it.flags & DECIDED).into(),
-        |it| format!("{:#x}", it.flags & DECIDED),
-    ),
-];
-
-/// In what two answers differ, if they do.
-fn different(recorded: &ActionMsg, made: Option<&ActionMsg>, episode: u32) -> Option<Difference> {
-    let (tick, agent) = (recorded.tick as u32, Some(recorded.agent));
-    let Some(made) = made else {
-        let (recorded, made) = ("there".to_owned(), "missing".to_owned());
-        return Some(Difference { tick, episode, agent, what: "the answer", recorded, made });
-    };
-    let (what, _, told) = FIELDS.iter().find(|(_, bits, _)| bits(recorded) != bits(made))?;
-    let (recorded, made) = (told(recorded), told(made));
-    Some(Difference { tick, episode, agent, what, recorded, made })
 }

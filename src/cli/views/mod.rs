@@ -4,7 +4,7 @@
 
 mod figures;
 mod live;
-mod probes;
+pub(crate) mod probes;
 mod save_the_city;
 
 use std::path::Path;

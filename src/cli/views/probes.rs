@@ -3,25 +3,25 @@
 use sortie_bundle::Bundle;
 use sortie_core::allocate::{TaskRelation, TeamQuery, TeamValueNetwork};
 use sortie_core::choose::masked_argmax;
-use sortie_core::{AllocateError, Policy};
+use sortie_core::{AllocateError, AllocationState, Policy};
 use sortie_envs::Environment;
 use sortie_learn::LearnError;
 use sortie_learn::draft::DecoratedPolicy;
 use sortie_learn::subtasks::{AllocatorNetworks, LearnedAllocator, allocation_state};
 use sortie_pages::TeamValueProbe;
 use sortie_plans::{AttentionLayers, AttentionProbe, roles_of};
-use sortie_stage::Thought;
+use sortie_stage::{FrameRelation, Thought};
 
 use crate::allocator::LearnedAllocator as DeployedLearned;
 use crate::environment::entry_of;
-use crate::failure::Failure;
+use crate::failure::{Exit, Failure};
 use crate::policy::Backend;
 use crate::subject::Subject;
 use crate::tools::compiler;
 use crate::worlds::relation;
 
 /// What tells whom a bundle's agents attend to; none where they attend to nobody that is known.
-pub(super) fn attention_of(bundle: &Bundle) -> Result<Option<AttentionLayers>, Failure> {
+pub(crate) fn attention_of(bundle: &Bundle) -> Result<Option<AttentionLayers>, Failure> {
     let attends = bundle.options().is_none() && roles_of(bundle)?.is_none();
     Ok(attends.then(|| compiler().attention(bundle.agent_onnx())).transpose()?)
 }
@@ -72,24 +72,48 @@ fn values_of_run(learned: LearnedAllocator<'_>) -> Option<TeamValueProbe<'_>> {
 
 /// A bundle's, by what executes its network in a deployed team.
 fn values_of_bundle(bundle: &Bundle) -> Result<TeamValueProbe<'_>, Failure> {
-    let entry = entry_of(bundle)?;
-    let mut learned = DeployedLearned::open(bundle, Backend::Plan)?;
+    let mut network = TeamNetwork::open(bundle)?;
     let ask = move |environment: &dyn Environment, state: &[u8], task, teams: &[u64]| {
         let state = allocation_state(environment, state);
-        let state = state.view();
-        let mut related = relation(entry).map_err(failed)?;
-        related.observe(&state).map_err(refused)?;
-        let mut rows = vec![0.0; state.entity_task.len() * related.columns()];
-        related.write(&state, task, &mut rows);
-        let mut network = learned.network().map_err(failed)?;
-        let value = |&team| {
-            let query = TeamQuery { state: &state, task, team, relation: &rows };
-            network.value(&query).map_err(refused)
-        };
-        teams.iter().map(value).collect()
+        let mut of_state = network.of_state(state.view()).map_err(failed)?;
+        of_state(task, teams).map_err(refused)
     };
     let team_max = bundle.manifest().limits.team_max.into();
     Ok(TeamValueProbe { ask: Box::new(ask), team_max })
+}
+
+/// A bundle's network that values teams.
+pub(crate) struct TeamNetwork {
+    learned: DeployedLearned,
+    related: FrameRelation,
+}
+
+/// What teams are worth to a subtask.
+pub(crate) type OfState<'a> = dyn FnMut(usize, &[u64]) -> Result<Vec<f32>, AllocateError> + 'a;
+
+impl TeamNetwork {
+    pub(crate) fn open(bundle: &Bundle) -> Result<Self, Failure> {
+        let related = relation(entry_of(bundle)?)?;
+        Ok(Self { learned: DeployedLearned::open(bundle, Backend::Plan)?, related })
+    }
+
+    /// What teams are worth in a state.
+    pub(crate) fn of_state<'a>(
+        &'a mut self,
+        state: AllocationState<'a>,
+    ) -> Result<Box<OfState<'a>>, Failure> {
+        let Self { learned, related } = self;
+        let refused = |error: AllocateError| Failure::new(Exit::BadData, error.to_string());
+        related.observe(&state).map_err(refused)?;
+        let mut network = learned.network()?;
+        Ok(Box::new(move |task, teams| {
+            let mut rows = vec![0.0; state.entity_task.len() * related.columns()];
+            related.write(&state, task, &mut rows);
+            let value =
+                |&team| network.value(&TeamQuery { state: &state, task, team, relation: &rows });
+            teams.iter().map(value).collect()
+        }))
+    }
 }
 
 fn failed(failure: Failure) -> LearnError {

@@ -7,9 +7,9 @@ use sortie_bundle::{Bundle, OptionsContract, RecordedFrame, Recording};
 use sortie_cli::deployment::open_bundle;
 use sortie_cli::environment::ScenarioSetName;
 use sortie_cli::failure::{Failure, Outcome};
-use sortie_cli::files::read_recording;
 use sortie_cli::output::tell;
 use sortie_cli::policy::option_graphs;
+use sortie_cli::remake::read_observations;
 use sortie_cli::tools::{OnnxRuntimeArguments, engines, plans};
 use sortie_core::choose::masked_argmax;
 use sortie_core::options::{OptionNetworks, Shown};
@@ -122,7 +122,7 @@ fn recordings(
     policy: &mut dyn Policy,
 ) -> Result<Vec<Recording>, Failure> {
     if let Some(file) = &arguments.observations {
-        return Ok(vec![read_recording(file, bundle)?]);
+        return Ok(vec![read_observations(file, bundle)?]);
     }
     let own = ScenarioSetName::parse(&bundle.manifest().contract.environment.name)?;
     let seed = arguments.measuring.common.seed;

@@ -151,7 +151,8 @@ impl DomainFacts {
         }
     }
 
-    fn contract_hash(&self) -> u64 {
+    /// Hash of the contract that the team acts under.
+    pub fn contract_hash(&self) -> u64 {
         u64::from_str_radix(&self.contract_hash, 16).unwrap_or(0)
     }
 

@@ -91,7 +91,7 @@ impl<S: LinkService> Services<'_, S> {
         service
             .max_publishers(topic.publishers)
             .max_subscribers(topic.subscribers)
-            .subscriber_max_buffer_size(topic.buffer)
+            .subscriber_max_buffer_size(topic.recorded)
             .history_size(topic.history)
             .subscriber_max_borrowed_samples(topic.borrow)
             .enable_safe_overflow(true)

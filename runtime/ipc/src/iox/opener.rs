@@ -78,6 +78,12 @@ impl<'a, S: LinkService> Opener<'a, S> {
         self.services().bytes_receiver(&self.frame_topic(agent))
     }
 
+    /// Receives world frames, and has room for those of a while.
+    pub(super) fn frame_recorder(&self) -> Result<FrameReceiver<S>, Error> {
+        let ByteTopic { topic, name } = self.frame_topic(None);
+        self.services().bytes_receiver(&ByteTopic { topic: topic.for_recorder(), name })
+    }
+
     pub(super) fn sender<M: Message>(
         &self,
         topic: fn(usize) -> Topic,
@@ -90,6 +96,14 @@ impl<'a, S: LinkService> Opener<'a, S> {
         topic: fn(usize) -> Topic,
     ) -> Result<Receiver<S, M>, Error> {
         self.services().receiver(topic(self.agents()))
+    }
+
+    /// The same with room for the messages of a while.
+    pub(super) fn recorder<M: Message>(
+        &self,
+        topic: fn(usize) -> Topic,
+    ) -> Result<Receiver<S, M>, Error> {
+        self.services().receiver(topic(self.agents()).for_recorder())
     }
 
     pub(super) fn control_server(&self) -> Result<RequestServer<S>, Error> {

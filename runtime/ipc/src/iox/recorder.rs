@@ -1,7 +1,8 @@
 //! The link of who records: all that is said in a domain. Nothing is said by it, and nobody waits for it.
 
+use core::ops::Range;
+
 use iceoryx2::prelude::*;
-use iceoryx2::sample::Sample;
 use sortie_core::link::{LinkError, Wake};
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, Role, StatMsg};
 use zerocopy::IntoBytes;
@@ -9,9 +10,7 @@ use zerocopy::IntoBytes;
 use super::bell::LinkBell;
 use super::open::{Receiver, drain};
 use super::opener::{FrameReceiver, Opener};
-use super::services::{
-    self, ActionPayload, AllocPayload, Block, FrameHeaderPayload, LinkSetup, Message, StatPayload,
-};
+use super::services::{self, ActionPayload, AllocPayload, LinkSetup, Message, StatPayload};
 use super::{InterProcess, LinkService};
 use crate::error::Error;
 
@@ -29,22 +28,19 @@ pub enum Heard<'a> {
 }
 
 /// The same, kept.
-enum Kept<S: LinkService> {
-    Frame(Sample<S, [Block], FrameHeaderPayload>),
+enum Kept {
+    /// Where its payload lies among those of the frames.
+    Frame(FrameHeader, Range<usize>),
     Allocation(AllocMsg),
     Action(ActionMsg),
     Status(Box<StatMsg>),
 }
 
-impl<S: LinkService> Kept<S> {
-    fn heard(&self) -> Heard<'_> {
+impl Kept {
+    fn heard<'a>(&'a self, payloads: &'a [u8]) -> Heard<'a> {
         match self {
-            Self::Frame(sample) => {
-                let header = sample.user_header().message();
-                // Blocks are whole: what is behind the payload is not part of it.
-                let payload = sample.payload().as_bytes();
-                let used = payload.len().min(header.len as usize);
-                Heard::Frame(header, &payload[..used])
+            Self::Frame(header, place) => {
+                Heard::Frame(header, payloads.get(place.clone()).unwrap_or_default())
             }
             Self::Allocation(message) => Heard::Allocation(message),
             Self::Action(message) => Heard::Action(message),
@@ -54,11 +50,11 @@ impl<S: LinkService> Kept<S> {
 
     /// When it was sent. All clocks of a domain are one.
     fn t_ns(&self) -> u64 {
-        match self.heard() {
-            Heard::Frame(header, _) => header.t_ns,
-            Heard::Allocation(message) => message.t_ns,
-            Heard::Action(message) => message.t_ns,
-            Heard::Status(message) => message.t_ns,
+        match self {
+            Self::Frame(header, _) => header.t_ns,
+            Self::Allocation(message) => message.t_ns,
+            Self::Action(message) => message.t_ns,
+            Self::Status(message) => message.t_ns,
         }
     }
 }
@@ -69,7 +65,9 @@ pub struct IoxRecorder<S: LinkService = InterProcess> {
     allocations: Receiver<S, AllocPayload>,
     actions: Receiver<S, ActionPayload>,
     statuses: Receiver<S, StatPayload>,
-    kept: Vec<Kept<S>>,
+    kept: Vec<Kept>,
+    /// Payloads of the frames among them.
+    payloads: Vec<u8>,
     /// That of runners, which is rung for every frame and allocation.
     bell: LinkBell<S>,
     /// Dropped last.
@@ -84,33 +82,39 @@ impl<S: LinkService> IoxRecorder<S> {
     pub fn open(setup: &LinkSetup<'_>) -> Result<Self, Error> {
         let opener = Opener::new(setup)?;
         Ok(Self {
-            frames: opener.frame_receiver(None)?,
-            allocations: opener.receiver(services::allocations)?,
-            actions: opener.receiver(services::actions)?,
-            statuses: opener.receiver(services::statuses)?,
+            frames: opener.frame_recorder()?,
+            allocations: opener.recorder(services::allocations)?,
+            actions: opener.recorder(services::actions)?,
+            statuses: opener.recorder(services::statuses)?,
             kept: Vec::new(),
+            payloads: Vec::new(),
             bell: LinkBell::open(&opener, Role::Runner, &[])?,
             _node: opener.into_node(),
         })
     }
 
-    /// All that was said since the last call, in the order in which it was sent. Who does not ask within two ticks misses
+    /// All that was said since the last call, in the order in which it was sent. Who does not ask within 16 ticks misses
     /// some of it; numbers of messages (`seq`) show what.
     ///
     /// # Errors
     /// A topic failed.
     pub fn receive(&mut self, take: &mut dyn FnMut(Heard<'_>)) -> Result<(), LinkError> {
-        let Self { frames, allocations, actions, statuses, kept, .. } = self;
-        // No more may be held at once; others are there at the next call.
-        for _ in 0..services::frames(0).borrow {
-            let Some(sample) = frames.receive().map_err(|_| LinkError::Frames)? else { break };
-            kept.push(Kept::Frame(sample));
+        let Self { frames, allocations, actions, statuses, kept, payloads, .. } = self;
+        // Copied, for a few of them only may be held at once.
+        while let Some(sample) = frames.receive().map_err(|_| LinkError::Frames)? {
+            let header = *sample.user_header().message();
+            // Blocks are whole: what is behind the payload is not part of it.
+            let payload = sample.payload().as_bytes();
+            let (first, used) = (payloads.len(), payload.len().min(header.len as usize));
+            payloads.extend(&payload[..used]);
+            kept.push(Kept::Frame(header, first..payloads.len()));
         }
         drain(allocations, LinkError::Allocations, &mut |it| kept.push(Kept::Allocation(*it)))?;
         drain(actions, LinkError::Actions, &mut |it| kept.push(Kept::Action(*it)))?;
         drain(statuses, LinkError::Statuses, &mut |it| kept.push(Kept::Status(Box::new(*it))))?;
         kept.sort_by_key(Kept::t_ns);
-        kept.drain(..).for_each(|kept| take(kept.heard()));
+        kept.drain(..).for_each(|kept| take(kept.heard(payloads)));
+        payloads.clear();
         Ok(())
     }
 

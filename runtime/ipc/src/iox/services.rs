@@ -19,8 +19,11 @@ pub(super) struct Topic {
     pub(super) name: &'static str,
     pub(super) publishers: usize,
     pub(super) subscribers: usize,
-    /// Messages that wait for each subscriber; the oldest gives way.
+    /// Messages that wait for a subscriber; the oldest gives way.
     pub(super) buffer: usize,
+    /// The same for who records and may miss none of them, however late it runs. All subscribers have room for them: the
+    /// library knows no other way.
+    pub(super) recorded: usize,
     /// Messages that a late subscriber gets.
     pub(super) history: usize,
     /// Messages that a subscriber may hold.
@@ -29,12 +32,23 @@ pub(super) struct Topic {
     pub(super) loan: usize,
 }
 
+impl Topic {
+    /// The topic as who records opens it.
+    pub(super) fn for_recorder(self) -> Self {
+        Self { buffer: self.recorded, ..self }
+    }
+}
+
+/// Ticks by which who records may be late.
+const RECORDED_TICKS: usize = 16;
+
 pub(super) fn frames(agents: usize) -> Topic {
     Topic {
         name: "sortie/1/frame",
         publishers: 2,
         subscribers: agents + 16,
         buffer: 2,
+        recorded: RECORDED_TICKS,
         history: 1,
         borrow: 2,
         loan: 1,
@@ -43,7 +57,8 @@ pub(super) fn frames(agents: usize) -> Topic {
 
 /// The frames of one agent alone, in a domain whose frames are private; each agent has its own service.
 pub(super) fn private_frames() -> Topic {
-    Topic { subscribers: 4, ..frames(0) }
+    let frames = frames(0);
+    Topic { subscribers: 4, recorded: frames.buffer, ..frames }
 }
 
 /// Name of the service of `agent`'s private frames.
@@ -58,6 +73,7 @@ pub(super) fn actions(agents: usize) -> Topic {
         subscribers: 8,
         // One runner may act for all agents, and sends one message for each.
         buffer: (2 * agents).max(4),
+        recorded: RECORDED_TICKS * agents.max(1),
         history: 0,
         borrow: 2,
         loan: 2,
@@ -70,6 +86,7 @@ pub(super) fn allocations(agents: usize) -> Topic {
         publishers: 4,
         subscribers: agents + 16,
         buffer: 1,
+        recorded: RECORDED_TICKS,
         history: 1,
         borrow: 1,
         loan: 1,
@@ -82,6 +99,7 @@ pub(super) fn statuses(agents: usize) -> Topic {
         publishers: agents + 24,
         subscribers: 8,
         buffer: 2,
+        recorded: 2,
         history: 1,
         borrow: 2,
         loan: 1,
@@ -95,6 +113,7 @@ pub(super) fn observations() -> Topic {
         publishers: 4,
         subscribers: 4,
         buffer: 2,
+        recorded: 2,
         history: 0,
         borrow: 2,
         loan: 1,
@@ -163,7 +182,7 @@ pub(super) fn processes(agents: usize) -> usize {
 
 /// Messages that a publisher of a topic has room for.
 pub(super) fn slots(topic: Topic) -> usize {
-    topic.subscribers * (topic.buffer + topic.borrow) + topic.history + topic.loan + 1
+    topic.subscribers * (topic.recorded + topic.borrow) + topic.history + topic.loan + 1
 }
 
 /// Shared memory of one process that tells of itself.

@@ -8,6 +8,7 @@ mod own_world;
 mod policy;
 mod private;
 mod processes;
+mod recorder;
 mod reload;
 mod signals;
 mod starts;

@@ -49,6 +49,10 @@ where
         self.decide_with(observation, &mut [])
     }
 
+    fn begin_episode(&mut self) -> bool {
+        self.policy.begin_episode()
+    }
+
     fn hidden(&self) -> usize {
         self.policy.hidden()
     }

@@ -1,0 +1,57 @@
+//! What agents saw, out of a record of their team.
+
+use std::cell::RefCell;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use sortie_bundle::{Bundle, Recording};
+use sortie_core::Policy;
+use sortie_learn::draft::DecoratedPolicy;
+
+use super::Deployed;
+use super::comparison::Comparison;
+use super::contents::Contents;
+use super::roles::Roles;
+use crate::deployment::model_id;
+use crate::failure::Failure;
+use crate::files::{read_recording, recording_of};
+
+/// How a record of a team begins.
+const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+
+/// Observations that fit a bundle: of a file of them, or of a record of a team that ran the bundle.
+///
+/// # Errors
+/// The file is neither, or of another contract; of a record: its bundle is another one.
+pub fn read_observations(path: &Path, bundle: &Bundle) -> Result<Recording, Failure> {
+    let mut start = Vec::new();
+    let file = File::open(path).map_err(|error| Failure::file(path, &error))?;
+    let read = file.take(MAGIC.len() as u64).read_to_end(&mut start);
+    read.map_err(|error| Failure::file(path, &error))?;
+    if start != MAGIC { read_recording(path, bundle) } else { of_record(path, bundle) }
+}
+
+fn of_record(path: &Path, bundle: &Bundle) -> Result<Recording, Failure> {
+    let contents = Contents::read(path)?;
+    let recording = RefCell::new(recording_of(bundle));
+    let mut deployed = Deployed::open_agents(&contents, bundle)?;
+    let mut team = deployed.team()?;
+    team.policies = team.policies.into_iter().map(|policy| noting(policy, &recording)).collect();
+    let mut comparison = Comparison::new(model_id(bundle));
+    let mut roles = Roles::new(&contents, bundle, team, &mut comparison);
+    contents.replay(&mut |message| roles.hear(message))?;
+    roles.end();
+    drop(deployed);
+    Ok(recording.into_inner())
+}
+
+fn noting<'a>(
+    policy: Box<dyn Policy + 'a>,
+    recording: &'a RefCell<Recording>,
+) -> Box<dyn Policy + 'a> {
+    Box::new(DecoratedPolicy::new(policy, |policy, observation, _| {
+        recording.borrow_mut().add(observation);
+        policy.decide(observation)
+    }))
+}

@@ -1,0 +1,226 @@
+//! `sortie why`: what an agent saw, wanted and was told when it decided.
+
+use std::cell::{Cell, RefCell};
+use std::path::PathBuf;
+
+use clap::Args;
+use sortie_bundle::Bundle;
+use sortie_core::Policy;
+use sortie_core::choose::masked_argmax;
+use sortie_core::wire::{ActionMsg, AllocMsg, FrameView};
+use sortie_learn::draft::DecoratedPolicy;
+use sortie_plans::AttentionProbe;
+use sortie_stage::Thought;
+
+use super::Deployed;
+use super::comparison::Comparison;
+use super::contents::{Contents, Shown, Told};
+use super::reasons::{Allocated, Reasons};
+use super::roles::{Made, Roles};
+use crate::deployment::{model_id, open_bundle};
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::{Common, print_json, tell};
+use crate::views::probes::{TeamNetwork, attention_of};
+
+/// How many ticks after its frame an answer may still come.
+const PATIENCE: u64 = 3;
+
+/// Tell why an agent of a recorded team did what it did
+///
+/// What it saw of itself, the utilities of all actions that it could take, whom it attended to, which subtask it acted for, and
+/// what the allocator's network expected of every team then: its own subtask beside the others where it could have worked
+/// instead. All of it is computed anew from the record, as `sortie remake` does, with the bits of the deployed network.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie why run.mcap --agent 3 --tick 812
+  sortie why run.mcap --agent 0 --tick 17 --json")]
+pub(crate) struct WhyArguments {
+    /// The record, as `sortie record` writes it
+    record: PathBuf,
+    /// Agent that decided
+    #[arg(long, value_name = "NUMBER")]
+    agent: u16,
+    /// Tick in which it did, as /tick of the record counts them
+    #[arg(long, value_name = "NUMBER")]
+    tick: u32,
+    /// Bundle that decided [default: the one that the record brings along]
+    #[arg(long, value_name = "FOLDER")]
+    bundle: Option<PathBuf>,
+    #[command(flatten)]
+    common: Common,
+}
+
+pub(crate) fn run(arguments: &WhyArguments) -> Outcome {
+    let contents = Contents::read(&arguments.record)?;
+    let bundle = match &arguments.bundle {
+        Some(folder) => open_bundle(folder)?,
+        None => contents.bundle()?,
+    };
+    let asked = Asked::find(&contents, arguments)?;
+    let reasons = reasons(&contents, &bundle, &asked)?;
+    if arguments.common.json {
+        print_json(&reasons);
+    } else {
+        reasons.print();
+    }
+    Ok(())
+}
+
+/// The answer that is asked about.
+struct Asked {
+    answer: ActionMsg,
+    /// Its place among the record's runners.
+    runner: usize,
+    /// What it acted on, where the record has that.
+    allocation: Option<AllocMsg>,
+}
+
+impl Asked {
+    /// The newest of this tick: ticks are counted anew where another world takes over.
+    fn find(contents: &Contents, arguments: &WhyArguments) -> Result<Self, Failure> {
+        let WhyArguments { agent, tick, .. } = *arguments;
+        let (mut found, mut allocations) = (None, Vec::new());
+        contents.replay(&mut |told| match told {
+            Told::Action(it) if !it.has(ActionMsg::BYE) => {
+                if it.agent == agent && it.tick as u32 == tick {
+                    found = Some(it);
+                }
+            }
+            Told::Allocation(it) => allocations.push(it),
+            Told::Action(_) | Told::Frame(_) => {}
+        })?;
+        let answer = found.ok_or_else(|| {
+            let message = format!("the record has no action of agent {agent} in tick {tick}");
+            Failure::new(Exit::Missing, message)
+        })?;
+        let order = (answer.alloc_term, answer.alloc_epoch);
+        let allocation = allocations.into_iter().find(|it| it.order() == order);
+        let runner = contents.runners.iter().position(|pid| *pid == answer.runner);
+        Ok(Self { answer, runner: runner.unwrap_or_default(), allocation })
+    }
+
+    /// Whether what is told comes too late to have a part in the answer.
+    fn is_over(&self, told: &Told) -> bool {
+        let Self { answer, .. } = self;
+        match told {
+            Told::Action(it) => it.runner == answer.runner && it.tick > answer.tick,
+            Told::Frame(it) => it.header.tick > answer.tick + PATIENCE,
+            Told::Allocation(_) => false,
+        }
+    }
+}
+
+/// Plays the record up to the answer, and has it given aloud.
+fn reasons(contents: &Contents, bundle: &Bundle, asked: &Asked) -> Result<Reasons, Failure> {
+    let mut deployed = Deployed::open_agents(contents, bundle)?;
+    let features = usize::from(bundle.contract().features);
+    // Whom it attended to is read from the graph, which takes more than what decides.
+    let layers = attention_of(bundle).unwrap_or_else(|failure| {
+        tell!("warning: whom it attended to is not known: {}", failure.message);
+        None
+    });
+    let probe = layers.map(|layers| AttentionProbe::new(layers, features));
+    let ear = Ear { is_open: Cell::new(false), probe, heard: RefCell::new(None) };
+    let mut team = deployed.team()?;
+    team.policies = team
+        .policies
+        .into_iter()
+        .enumerate()
+        .map(|(index, policy)| match index == asked.runner {
+            true => aloud(policy, asked.answer.agent, &ear),
+            false => policy,
+        })
+        .collect();
+    let mut comparison = Comparison::new(model_id(bundle));
+    let mut roles = Roles::new(contents, bundle, team, &mut comparison);
+    let (mut is_over, mut allocated) = (false, None);
+    contents.replay(&mut |told| {
+        is_over |= asked.is_over(&told);
+        if is_over {
+            return;
+        }
+        let is_its = |it: &AllocMsg| asked.allocation.is_some_and(|its| its.order() == it.order());
+        let order = match &told {
+            Told::Allocation(it) if is_its(it) => Some(*it),
+            _ => None,
+        };
+        roles.hear(told);
+        let frame = order.and_then(|it| Some((it, roles.frame(it.tick)?)));
+        if let Some((it, frame)) = frame {
+            allocated = Some(worth(contents, bundle, (&it, frame), asked.answer.agent));
+        }
+    })?;
+    let before = roles.made();
+    ear.is_open.set(true);
+    roles.answer(asked.answer.runner);
+    is_known(before, roles.made())?;
+    let frame = roles.frame(asked.answer.tick).ok_or_else(|| lacks("its frame"))?;
+    let thought = ear.heard.borrow_mut().take();
+    let view = FrameView::new(&frame.header, frame.payload.as_slice(), &contents.format);
+    let view = view.map_err(|error| Failure::new(Exit::BadData, error.to_string()))?;
+    let allocated = allocated.transpose()?;
+    Ok(Reasons::new(bundle.contract(), (&asked.answer, &view), thought, allocated))
+}
+
+fn lacks(what: &str) -> Failure {
+    Failure::new(Exit::Missing, format!("the record lacks {what}"))
+}
+
+/// Whether the answer could be given again.
+fn is_known(before: Made, made: Made) -> Outcome {
+    let why_not = [
+        (made.before_record > before.before_record, "its frame, or the allocation it acted on"),
+        (made.of_others > before.of_others, "its bundle: another one decided"),
+        (made.of_engines > before.of_engines, "its network: it ran in an engine"),
+        (made.without_memory > before.without_memory, "what it remembered from before"),
+    ];
+    match why_not.iter().find(|(is_so, _)| *is_so) {
+        Some((_, what)) => Err(lacks(what)),
+        None => Ok(()),
+    }
+}
+
+/// What the allocator's network thought of an allocation; the tasks alone where no network values teams.
+fn worth(
+    contents: &Contents,
+    bundle: &Bundle,
+    (allocation, frame): (&AllocMsg, &Shown),
+    agent: u16,
+) -> Result<Allocated, Failure> {
+    let view = FrameView::new(&frame.header, frame.payload.as_slice(), &contents.format);
+    let view = view.map_err(|error| Failure::new(Exit::BadData, error.to_string()))?;
+    let state = view.allocation_state();
+    let is_learned = contents.facts.allocation() == Some("learned");
+    let values_teams = is_learned
+        && bundle.allocator_onnx().is_some()
+        && bundle.proposal_graphs().is_none()
+        && bundle.pointing_graphs().is_none()
+        && allocation.flags & AllocMsg::HEURISTIC == 0;
+    let mut values = values_teams.then(|| TeamNetwork::open(bundle)).transpose()?;
+    let mut values = values.as_mut().map(|values| values.of_state(state)).transpose()?;
+    let team_max = usize::from(bundle.manifest().limits.team_max);
+    Allocated::new(allocation, &state, (agent, team_max), values.as_deref_mut())
+        .map_err(|error| Failure::new(Exit::BadData, error.to_string()))
+}
+
+/// Hears what an agent thinks once it is open.
+struct Ear {
+    is_open: Cell<bool>,
+    probe: Option<AttentionProbe>,
+    heard: RefCell<Option<Thought>>,
+}
+
+/// A runner's policy, of one of whose agents thoughts are heard.
+fn aloud<'a>(policy: Box<dyn Policy + 'a>, agent: u16, ear: &'a Ear) -> Box<dyn Policy + 'a> {
+    Box::new(DecoratedPolicy::new(policy, move |policy, observation, _| {
+        if !ear.is_open.get() || observation.self_index != usize::from(agent) {
+            return policy.decide(observation);
+        }
+        let mut utilities = vec![0.0; policy.actions()];
+        policy.utilities(observation, &mut utilities)?;
+        let attention = ear.probe.as_ref().map(|probe| probe.by_entity(observation));
+        let thought = Thought::new(&utilities, attention.transpose()?.unwrap_or_default());
+        ear.heard.replace(Some(thought));
+        masked_argmax(&utilities, observation.available)
+    }))
+}
