@@ -16,7 +16,7 @@ use crate::terminal::Color;
 use crate::tools::{self, prefer_tools};
 use crate::{
     Program, compare, control, doctor, eval, export, inspect, record, remake, replay, reproduce,
-    run, serve, train, view,
+    run, serve, sign, train, view,
 };
 
 const EXIT_CODES: &str = "\
@@ -109,6 +109,7 @@ pub(crate) enum Verb {
     Doctor(doctor::DoctorArguments),
     Record(record::RecordArguments),
     Remake(remake::RemakeArguments),
+    Sign(sign::SignArguments),
     Eval(eval::EvalArguments),
     Replay(replay::ReplayArguments),
     Train(train::TrainArguments),
@@ -140,6 +141,7 @@ pub(crate) fn dispatch(program: &Program, asked: Asked) -> Outcome {
         Verb::Doctor(arguments) => doctor::run(&arguments),
         Verb::Record(arguments) => record::run(&arguments),
         Verb::Remake(arguments) => remake::run(&arguments),
+        Verb::Sign(arguments) => sign::run(&arguments),
         Verb::Eval(arguments) => eval::run(&arguments),
         Verb::Replay(arguments) => replay::run(&arguments),
         Verb::Train(arguments) => train::run(&arguments),
