@@ -16,7 +16,7 @@ use crate::terminal::Color;
 use crate::tools::{self, prefer_tools};
 use crate::{
     Program, compare, control, doctor, eval, export, inspect, record, remake, replay, reproduce,
-    run, serve, top, train, view,
+    run, serve, sign, top, train, view,
 };
 
 const EXIT_CODES: &str = "\
@@ -111,6 +111,7 @@ pub(crate) enum Verb {
     Record(record::RecordArguments),
     Remake(remake::RemakeArguments),
     Why(remake::why::WhyArguments),
+    Sign(sign::SignArguments),
     Eval(eval::EvalArguments),
     Replay(replay::ReplayArguments),
     Train(train::TrainArguments),
@@ -144,6 +145,7 @@ pub(crate) fn dispatch(program: &Program, asked: Asked) -> Outcome {
         Verb::Record(arguments) => record::run(&arguments),
         Verb::Remake(arguments) => remake::run(&arguments),
         Verb::Why(arguments) => remake::why::run(&arguments),
+        Verb::Sign(arguments) => sign::run(&arguments),
         Verb::Eval(arguments) => eval::run(&arguments),
         Verb::Replay(arguments) => replay::run(&arguments),
         Verb::Train(arguments) => train::run(&arguments),

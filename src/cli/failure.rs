@@ -7,6 +7,7 @@ use std::path::Path;
 
 use sortie_bundle::BundleError;
 use sortie_learn::LearnError;
+use sortie_sign::SignError;
 
 /// The exit codes that scripts may rely on; 0 is success.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -127,6 +128,22 @@ impl From<BundleError> for Failure {
             BundleError::Io { .. } => Exit::InputOutput,
             BundleError::Version { .. } => Exit::Mismatch,
             _ => Exit::BadData,
+        };
+        Self::new(exit, with_sources(&error))
+    }
+}
+
+impl From<SignError> for Failure {
+    fn from(error: SignError) -> Self {
+        let exit = match &error {
+            SignError::Missing { .. } | SignError::NoKeys { .. } => Exit::Missing,
+            SignError::Exists { .. } | SignError::Name { .. } => Exit::Usage,
+            SignError::Io { source, .. } => Exit::of_file(source),
+            SignError::Damaged { .. } => Exit::BadData,
+            SignError::Version { .. } => Exit::Mismatch,
+            SignError::Random(_) => Exit::InputOutput,
+            // Whoever asks for signatures does not permit what has none that counts.
+            _ => Exit::NotPermitted,
         };
         Self::new(exit, with_sources(&error))
     }

@@ -24,6 +24,7 @@ use crate::output::{Common, Table, print_json, say};
 use crate::policy::Backend;
 use crate::terminal::stop_on_signals;
 use crate::tools::{check_program, compiler, engines};
+use crate::trust::TrustArguments;
 
 /// Serve a policy in shared memory: a robot's program sends observations and gets actions
 ///
@@ -66,6 +67,8 @@ pub(crate) struct ServeArguments {
     #[arg(long, default_value_t = 100, value_name = "US", value_parser = clap::value_parser!(u64).range(..=1_000_000))]
     linger_us: u64,
     #[command(flatten)]
+    trust: TrustArguments,
+    #[command(flatten)]
     foreign: PolicyArguments,
     #[command(flatten)]
     common: Common,
@@ -96,6 +99,7 @@ pub(crate) fn run(arguments: &ServeArguments) -> Outcome {
     arguments.backend.prepare()?;
     let failed = |error| Failure::file(&arguments.policy, &error);
     let bytes = read_plan_or_onnx(&arguments.policy).map_err(failed)?;
+    arguments.trust.check_plan(&arguments.policy, &bytes)?;
     let within = |failure: Failure| failure.within(arguments.policy.display());
     match arguments.backend {
         Backend::Plan => serve_plan(arguments, &bytes, &within),

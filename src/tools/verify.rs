@@ -14,11 +14,12 @@ use sortie_bundle::{Bundle, POLICY, Recording};
 use sortie_cli::deployment::open_bundle;
 use sortie_cli::failure::{Exit, Failure, Outcome};
 use sortie_cli::foreign::PolicyArguments;
-use sortie_cli::output::{Common, print_json};
+use sortie_cli::output::{Common, print_json, tell};
 use sortie_cli::policy::{DeployedPolicy, PlanProfile};
 use sortie_cli::remake::read_observations;
 use sortie_cli::terminal;
 use sortie_cli::tools::{OnnxRuntimeArguments, compiler, engines, plans};
+use sortie_cli::trust::TrustArguments;
 use sortie_core::plan::Profile;
 use sortie_plans::{
     BundlePlans, Comparison, CompileError, CompilerProcess, GraphEngine, OnnxRuntimeEngine,
@@ -39,6 +40,7 @@ const DOUBLE: &str = "double precision";
 #[command(after_help = "Examples:
   sortie verify models/save-the-city --inputs 10000
   sortie verify models/save-the-city --python venv/bin/python3
+  sortie verify models/better --trust keys/
   sortie verify models/save-the-city --profile int8 --observations seen.bin
   sortie verify agent.onnx --against tract
   sortie verify walking.onnx
@@ -64,6 +66,8 @@ pub(crate) struct VerifyArguments {
     npz: Option<PathBuf>,
     #[command(flatten)]
     onnxruntime: OnnxRuntimeArguments,
+    #[command(flatten)]
+    trust: TrustArguments,
     #[command(flatten)]
     common: Common,
     // Last: what follows would stand under its heading.
@@ -125,6 +129,7 @@ pub(crate) fn run(arguments: &VerifyArguments) -> Outcome {
 
 fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
     let subject = &arguments.subject;
+    arguments.trust.wants_bundle(subject)?;
     let (asked, wanted) = (|peer| arguments.asks_for(peer), |peer| arguments.wants(peer));
     let judges = Judges::open(arguments)?;
     if let Some(file) = &arguments.npz {
@@ -142,6 +147,11 @@ fn compare(arguments: &VerifyArguments) -> Result<Report, Failure> {
     spinner.set_message("comparing the plans with their graphs");
     if subject.is_dir() || !subject.exists() {
         let bundle = open_bundle(subject)?;
+        if let Some(signer) = arguments.trust.signer(&bundle)?
+            && !arguments.common.quiet
+        {
+            tell!("note: signed by {signer}");
+        }
         let profile = arguments.profile.profile();
         if wanted(Peer::Tract) || wanted(Peer::Onnxruntime) {
             if bundle.options().is_some() || bundle.manifest().network.agent == POLICY {

@@ -30,6 +30,7 @@ mod reproduce;
 mod runs;
 mod seeds;
 mod serve;
+mod sign;
 #[path = "../support/mod.rs"]
 mod support;
 mod team;

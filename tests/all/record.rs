@@ -7,7 +7,8 @@ use std::process::{Child, Command, Stdio};
 use serde_json::Value;
 
 use crate::support::{
-    BUNDLE, Playing, TestDomain, assert_fails, json, kill, output, python, sortie, stderr, wait_until,
+    BUNDLE, Playing, TestDomain, assert_fails, json, kill, output, python, sortie, stderr,
+    wait_until,
 };
 
 /// What helps where Python has no reader.

@@ -37,6 +37,7 @@
 //! | `alloc` | `plan::AlignedBytes`, for programs with a heap and without an operating system |
 //! | `std` | `alloc`, and kernels chosen at run time by what the processor offers (the same bits, faster) |
 //! | `serial` | links over serial lines: `link::Serial` and `link::Relay`, small packages without heap |
+//! | `signatures` | `signature`: plans are taken only of somebody who is trusted |
 //! | `defmt` | `defmt::Format` for errors, decisions and facts of a plan |
 //! | `dsp` | int8 weights by the DSP extension of Cortex-M4, M7 and others (the same bits, faster), for plans laid out for it |
 #![no_std]
@@ -73,6 +74,8 @@ pub mod policy;
 pub mod remember;
 pub mod roles;
 mod shape;
+#[cfg(feature = "signatures")]
+pub mod signature;
 pub mod wire;
 pub mod world;
 

@@ -1,6 +1,5 @@
 //! A record as it grows: messages as they are, and a line a tick for people.
 
-
 use sortie_core::wire::{ABI, ActionMsg, AllocMsg, FrameHeader, Role, StatMsg};
 use sortie_ipc::{DomainFacts, Heard};
 use sortie_record::{Message, Writer};

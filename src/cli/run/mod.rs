@@ -26,11 +26,12 @@ use self::team::{Absentees, Team};
 use self::world::open_world;
 use crate::allocation::{AllocatorChoice, name_of};
 use crate::allocator::{DeployedAllocator, ProposalArguments};
-use crate::deployment::{domain_contract, open_bundle};
+use crate::deployment::domain_contract;
 use crate::failure::{Exit, Outcome};
 use crate::output::Common;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::{self, stop_on_signals};
+use crate::trust::TrustArguments;
 use crate::worlds::world::EnvironmentWorld;
 
 /// Ticks a second at which a person can follow.
@@ -80,6 +81,8 @@ pub struct RunArguments {
     #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
     domain: String,
     #[command(flatten)]
+    trust: TrustArguments,
+    #[command(flatten)]
     common: Common,
 }
 
@@ -100,7 +103,7 @@ fn rate(text: &str) -> Result<f64, String> {
 pub(crate) fn run(arguments: &RunArguments) -> Outcome {
     arguments.backend.prepare()?;
     let stop = stop_on_signals()?;
-    let bundle = open_bundle(&arguments.bundle)?;
+    let bundle = arguments.trust.open_bundle(&arguments.bundle)?;
     let seed = arguments.common.seed;
     let mut world = open_world(&bundle, arguments.env.as_deref(), seed)?;
     arguments.absentees.check(sortie_core::World::shape(&world).agents)?;
@@ -205,6 +208,7 @@ fn play_as_processes(
         seed: arguments.common.seed,
         private: false,
         mixes_teams: false,
+        trust: arguments.trust.keys(),
         parent: Some(std::process::id()),
     };
     let start_team = |children: &mut Children| {

@@ -16,12 +16,13 @@ use super::team::Scheduling;
 use super::world::{Playing, WorldOfTeam, play};
 use crate::allocation::{Allocation, AllocatorChoice};
 use crate::allocator::{DeployedAllocator, ProposalArguments};
-use crate::deployment::{domain_contract, model_id, open_bundle};
+use crate::deployment::{domain_contract, model_id};
 use crate::environment::entry_of;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::tell;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::stop_on_signals;
+use crate::trust::TrustArguments;
 use crate::worlds::{RuleAllocator, rule_allocator};
 
 /// Run one process of a team: what `run` and `up` start, and what a person may start in its place
@@ -53,6 +54,8 @@ pub(crate) struct ProcessArguments {
     #[arg(long)]
     mix_teams: bool,
     #[command(flatten)]
+    trust: TrustArguments,
+    #[command(flatten)]
     scheduling: Scheduling,
     /// Core that it stays on
     #[arg(long)]
@@ -78,7 +81,7 @@ enum Role {
 
 pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     let stop = stop_on_signals()?;
-    let bundle = open_bundle(&arguments.bundle)?;
+    let bundle = arguments.trust.open_bundle(&arguments.bundle)?;
     let domain = Domain::new(&arguments.domain)?;
     // A runner acts on whatever allocation comes.
     let allocation = match arguments.role {
@@ -139,7 +142,7 @@ fn act(
     let backend = arguments.backend;
     let mut memory = DeployedPolicy::open(bundle, backend)?;
     let mut bundles =
-        Bundles::beside(&arguments.bundle, |bundle: &Bundle| DeployedPolicy::open(bundle, backend));
+        Bundles::beside(arguments, |bundle: &Bundle| DeployedPolicy::open(bundle, backend));
     let mut rule = fallback(bundle)?;
     let mut process = RunnerProcess::join(domain, contract, &arguments.agents, settings, stop)?;
     let ended = loop {
@@ -183,7 +186,7 @@ fn allocate(
     let open =
         |bundle: &Bundle| DeployedAllocator::open(bundle, allocation, backend, seed, proposals);
     let mut memory = open(bundle)?;
-    let mut bundles = Bundles::beside(&arguments.bundle, open);
+    let mut bundles = Bundles::beside(arguments, open);
     let mut process = AllocatorProcess::join(domain, contract, settings, stop)?;
     let ended = loop {
         let mut allocator = memory.allocator()?;
@@ -217,17 +220,19 @@ pub(crate) fn is_key(text: &str) -> bool {
 }
 
 /// The folder of bundles, and what one of them was loaded to.
-struct Bundles<M, L> {
+struct Bundles<'a, M, L> {
     folder: PathBuf,
+    trust: &'a TrustArguments,
     load: L,
     loaded: Option<M>,
 }
 
-impl<M, L: FnMut(&Bundle) -> Result<M, Failure>> Bundles<M, L> {
-    /// The bundles beside `bundle`; `load` makes of one what its process works with.
-    fn beside(bundle: &Path, load: L) -> Self {
-        let parent = bundle.parent().filter(|parent| !parent.as_os_str().is_empty());
-        Self { folder: parent.unwrap_or(Path::new(".")).to_path_buf(), load, loaded: None }
+impl<'a, M, L: FnMut(&Bundle) -> Result<M, Failure>> Bundles<'a, M, L> {
+    /// The bundles beside that of a process, which take the same signatures; `load` makes of one what it works with.
+    fn beside(process: &'a ProcessArguments, load: L) -> Self {
+        let parent = process.bundle.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let folder = parent.unwrap_or(Path::new(".")).to_path_buf();
+        Self { folder, trust: &process.trust, load, loaded: None }
     }
 
     /// What was loaded last, once.
@@ -236,7 +241,7 @@ impl<M, L: FnMut(&Bundle) -> Result<M, Failure>> Bundles<M, L> {
     }
 }
 
-impl<M, L: FnMut(&Bundle) -> Result<M, Failure>> Registry for Bundles<M, L> {
+impl<M, L: FnMut(&Bundle) -> Result<M, Failure>> Registry for Bundles<'_, M, L> {
     fn load(&mut self, key: &str) -> Result<LoadedModel, ControlStatus> {
         let refused = |failure: Failure| {
             tell!("warning: `{key}` is not loaded: {}", failure.message);
@@ -245,7 +250,7 @@ impl<M, L: FnMut(&Bundle) -> Result<M, Failure>> Registry for Bundles<M, L> {
         if !is_key(key) {
             return Err(ControlStatus::BadArgument);
         }
-        let bundle = open_bundle(&self.folder.join(key)).map_err(refused)?;
+        let bundle = self.trust.open_bundle(&self.folder.join(key)).map_err(refused)?;
         self.loaded = Some((self.load)(&bundle).map_err(refused)?);
         let limits = &bundle.manifest().limits;
         Ok(LoadedModel {

@@ -27,6 +27,8 @@ pub(super) struct Team<'a> {
     pub private: bool,
     /// Whether they join a team of another bundle or allocation rule.
     pub mixes_teams: bool,
+    /// Whose signatures each of them asks for, of what it loads itself.
+    pub trust: Option<&'a Path>,
     /// Process with which they end.
     pub parent: Option<u32>,
 }
@@ -79,6 +81,9 @@ impl Team<'_> {
         }
         if self.mixes_teams {
             command.arg("--mix-teams");
+        }
+        if let Some(keys) = self.trust {
+            command.arg("--trust").arg(keys);
         }
         command.stdin(Stdio::null()).stdout(Stdio::null());
         command

@@ -15,11 +15,12 @@ use super::team::{Scheduling, Team, check_cores};
 use super::world::{Playing, open_world};
 use crate::allocation::AllocatorChoice;
 use crate::allocator::{DeployedAllocator, ProposalArguments};
-use crate::deployment::{domain_contract, open_bundle};
+use crate::deployment::domain_contract;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Common, tell, wrapped};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::{line_width, stop_on_signals};
+use crate::trust::TrustArguments;
 
 /// Keep a bundle's team running: world, runners, a leading allocator and its standbys, supervised
 ///
@@ -31,6 +32,7 @@ use crate::terminal::{line_width, stop_on_signals};
   sortie up models/save-the-city
   sortie up models/save-the-city --isolate --episodes 100 --rate 200
   sortie up models/save-the-city --private
+  sortie up models/better --trust keys/
   sortie up models/save-the-city --domain north --standbys 2 --restart never")]
 pub(crate) struct UpArguments {
     /// Folder of the bundle
@@ -68,6 +70,8 @@ pub(crate) struct UpArguments {
     /// Join the domain although its team has another bundle or allocation rule: otherwise that is refused
     #[arg(long)]
     mix_teams: bool,
+    #[command(flatten)]
+    trust: TrustArguments,
     /// Name that keeps this deployment apart from others on the host
     #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
     domain: String,
@@ -86,7 +90,7 @@ enum Restart {
 pub(crate) fn run(arguments: &UpArguments) -> Outcome {
     arguments.backend.prepare()?;
     let stop = stop_on_signals()?;
-    let bundle = open_bundle(&arguments.bundle)?;
+    let bundle = arguments.trust.open_bundle(&arguments.bundle)?;
     let seed = arguments.common.seed;
     // Opened here although others will: errors show once, and plans are compiled.
     let world = open_world(&bundle, arguments.playing.env.as_deref(), seed)?;
@@ -105,6 +109,7 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
         seed,
         private: arguments.private,
         mixes_teams: arguments.mix_teams,
+        trust: arguments.trust.keys(),
         parent: None,
     };
     let membership = domain.enter()?;

@@ -10,4 +10,6 @@ mod pointing;
 mod refused_plans;
 mod rewritten_frames;
 mod roles;
+#[cfg(feature = "signatures")]
+mod signatures;
 mod worlds;
