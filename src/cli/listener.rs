@@ -13,6 +13,9 @@ use crate::failure::{Failure, Outcome};
 /// How long a team may be silent before it is taken for gone: paused ones tell of themselves ten times a second.
 const SILENCE: Duration = Duration::from_secs(30);
 
+/// The priority of those who wait for all others.
+const LAST: i32 = 19;
+
 /// Somebody who listens, has no part in the team, and whom nobody waits for.
 pub(crate) struct Listener {
     link: IoxRecorder,
@@ -36,6 +39,9 @@ impl Listener {
         let membership = domain.enter()?;
         let facts = membership.facts()?.ok_or_else(nobody)?;
         let link = open_link(&membership, &facts, purpose)?;
+        // What is said is kept for a while: who listens lets those who work go first. Where that is not permitted it is no
+        // worse off than they are.
+        let _ = rustix::process::setpriority_process(None, LAST);
         let now_ns = MonotonicClock.now_ns();
         let token = link.token();
         Ok(Self {

@@ -9,7 +9,8 @@ use sortie_bundle::hex;
 use sortie_core::signature::{PublicKey, Signed};
 use sortie_plans::is_plan;
 use sortie_sign::{
-    SecretKey, bundle_signatures, key_files, plan_signatures_of, revoke, sign_bundle, sign_plan,
+    BundleSignature, SecretKey, bundle_signature_files, key_files, plan_signatures_of, revoke,
+    sign_bundle, sign_plan,
 };
 
 use crate::deployment::open_bundle;
@@ -143,14 +144,14 @@ fn tell_signers(subject: &Path, json: bool) -> Outcome {
 
 fn bundle_signers(folder: &Path) -> Result<Vec<Listed>, Failure> {
     let bundle = open_bundle(folder)?;
-    let judged = |(path, signature): (PathBuf, Result<sortie_sign::BundleSignature, _>)| {
-        let (key, checked) = match signature {
-            Ok(signature) => (digits(&signature.key), signature.check(&path, bundle.id())),
+    let judged = |path: &PathBuf| {
+        let (key, checked) = match BundleSignature::read(path) {
+            Ok(signature) => (digits(&signature.key), signature.check(path, bundle.id())),
             Err(error) => (path.display().to_string(), Err(error)),
         };
         Listed { key, refused: checked.err().map(|error| error.to_string()) }
     };
-    Ok(bundle_signatures(folder)?.into_iter().map(judged).collect())
+    Ok(bundle_signature_files(folder)?.iter().map(judged).collect())
 }
 
 fn plan_signers(path: &Path) -> Result<Vec<Listed>, Failure> {

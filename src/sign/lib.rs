@@ -22,7 +22,7 @@ pub use key::{NamedKey, SecretKey, is_name, key_files};
 #[doc(hidden)]
 pub use seal::with_checksum;
 pub use signatures::{
-    BundleSignature, FOLDER, bundle_signatures, plan_signatures_of, sign_bundle, sign_plan,
+    BundleSignature, FOLDER, bundle_signature_files, plan_signatures_of, sign_bundle, sign_plan,
     signature_file,
 };
 pub use trust::{REVOKED, Revoked, Trust, revoke};

@@ -55,7 +55,16 @@ impl BundleSignature {
         sealed(COMMENT, &Fields { bundle, key, signature: hex(&self.signature) })
     }
 
-    /// Of the content of a file.
+    /// Reads a file of a bundle's signatures.
+    ///
+    /// # Errors
+    /// It cannot be read, or is damaged.
+    pub fn read(path: &Path) -> Result<Self, SignError> {
+        let text = read_text(path)?;
+        Self::from_text(path, &text)
+    }
+
+    /// Of the content of such a file.
     ///
     /// # Errors
     /// It is damaged.
@@ -96,13 +105,11 @@ pub fn sign_bundle(secret: &SecretKey, bundle: &Bundle) -> Result<PathBuf, SignE
     Ok(path)
 }
 
-/// The signatures of a bundle's folder with their files, each read or refused for itself.
+/// The files of the signatures in a bundle's folder.
 ///
 /// # Errors
 /// There is none, there are too many, or the folder cannot be read.
-pub fn bundle_signatures(
-    bundle: &Path,
-) -> Result<Vec<(PathBuf, Result<BundleSignature, SignError>)>, SignError> {
+pub fn bundle_signature_files(bundle: &Path) -> Result<Vec<PathBuf>, SignError> {
     let folder = bundle.join(FOLDER);
     let entries = match fs::read_dir(&folder) {
         Ok(entries) => entries,
@@ -115,14 +122,7 @@ pub fn bundle_signatures(
     files.sort();
     match files.len() {
         0 => Err(unsigned(bundle)),
-        1..=MOST => Ok(files
-            .into_iter()
-            .map(|path| {
-                let signature =
-                    read_text(&path).and_then(|text| BundleSignature::from_text(&path, &text));
-                (path, signature)
-            })
-            .collect()),
+        1..=MOST => Ok(files),
         found => Err(SignError::damaged(
             &folder,
             format!("it has {found} files, at most {MOST} are read"),

@@ -15,8 +15,9 @@ use sortie_core::EntityMask;
 use sortie_core::signature::from_hex;
 
 use crate::{
-    FOLDER, NamedKey, REVOKED, Revoked, SecretKey, SignError, Trust, bundle_signatures, key_files,
-    plan_signatures_of, revoke, sign_bundle, sign_plan, signature_file, with_checksum,
+    BundleSignature, FOLDER, NamedKey, REVOKED, Revoked, SecretKey, SignError, Trust,
+    bundle_signature_files, key_files, plan_signatures_of, revoke, sign_bundle, sign_plan,
+    signature_file, with_checksum,
 };
 
 /// How often something signed is changed at random. Ten times as many take minutes, and were tried.
@@ -58,7 +59,7 @@ impl Scene {
 
     /// The only signature of the bundle.
     fn signature(&self) -> PathBuf {
-        bundle_signatures(&self.bundle()).unwrap().remove(0).0
+        bundle_signature_files(&self.bundle()).unwrap().remove(0)
     }
 
     fn sign(&self, name: &str) {
@@ -269,7 +270,7 @@ fn a_key_is_followed_by_another_and_revoked() {
     let scene = Scene::new();
     SecretKey::create(&scene.pair("next")).unwrap();
     scene.sign("next");
-    assert_eq!(bundle_signatures(&scene.bundle()).unwrap().len(), 2);
+    assert_eq!(bundle_signature_files(&scene.bundle()).unwrap().len(), 2);
     assert_eq!(plan_signatures_of(&scene.plan()).unwrap().len(), 2);
     // Whoever trusts either takes it.
     for name in ["me", "next"] {
@@ -450,12 +451,12 @@ fn whatever_is_forged_at_random_is_refused_or_says_the_same() {
         numbers.change(&mut bytes);
         with_checksum(&String::from_utf8_lossy(&bytes))
     };
-    let said = crate::BundleSignature::from_text(path, &signature).unwrap();
+    let said = BundleSignature::from_text(path, &signature).unwrap();
     for _ in 0..CHANGES {
         let text = forged(&signature);
         fs::write(scene.signature(), &text).unwrap();
         if trust.check_bundle(&bundle).is_ok() {
-            assert_eq!(crate::BundleSignature::from_text(path, &text).unwrap(), said, "{text}");
+            assert_eq!(BundleSignature::from_text(path, &text).unwrap(), said, "{text}");
         }
         // What was read is written so that it is read again.
         if let Ok(key) = NamedKey::from_text(path, &forged(&key)) {

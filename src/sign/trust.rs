@@ -11,7 +11,9 @@ use sortie_core::signature::{PlanSignature, PublicKey, Signed};
 use crate::error::SignError;
 use crate::key::NamedKey;
 use crate::seal::{read_text, sealed, unsealed};
-use crate::signatures::{bundle_signatures, plan_signatures_of, signature_file};
+use crate::signatures::{
+    BundleSignature, bundle_signature_files, plan_signatures_of, signature_file,
+};
 
 /// The list of revoked keys, beside those that are trusted.
 pub const REVOKED: &str = "revoked.toml";
@@ -78,10 +80,11 @@ impl Trust {
     /// Nobody who is trusted.
     pub fn check_bundle(&self, bundle: &Bundle) -> Result<&NamedKey, SignError> {
         let what = bundle.folder();
-        let judged = bundle_signatures(what)?.into_iter().map(|(path, signature)| {
-            let signature = signature?;
+        let files = bundle_signature_files(what)?;
+        let judged = files.iter().map(|path| {
+            let signature = BundleSignature::read(path)?;
             let holder = self.holder(what, &signature.key)?;
-            signature.check(&path, bundle.id()).map(|()| holder)
+            signature.check(path, bundle.id()).map(|()| holder)
         });
         self.first(what, judged)
     }

@@ -3,15 +3,31 @@
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{Child, Stdio};
 
 use serde_json::Value;
 
 use crate::support::{
-    BUNDLE, TestDomain, assert_fails, copied_bundle, json, output, sortie, stderr, wait_until,
+    BUNDLE, TestDomain, assert_fails, copied_bundle, interrupt, json, output, sortie, stderr,
+    wait_until,
 };
 
 const CART: &str = "examples/embed_c/cart.plan";
+/// The name of no domain: what should have been refused before fails there, and does not wait.
+const NO_DOMAIN: [&str; 2] = ["--domain", "no domain"];
+
+/// A team that plays until it is told to end, or until its test fails.
+struct Playing(Child);
+
+impl Drop for Playing {
+    fn drop(&mut self) {
+        // One that was shut down has ended.
+        if matches!(self.0.try_wait(), Ok(None)) {
+            interrupt(&self.0);
+            let _ = self.0.wait();
+        }
+    }
+}
 
 /// A folder with a bundle, `better`, and a pair of keys, `keys/me`.
 struct Signer {
@@ -54,7 +70,7 @@ fn trusting<'a>(bundle: &'a str, keys: &'a str) -> [Vec<&'a str>; 4] {
     [
         vec!["run", bundle, "--in-process", "--episodes", "1", "--trust", keys],
         vec!["up", bundle, "--episodes", "1", "--rate", "0", "--trust", keys],
-        runner.to_vec(),
+        [&runner[..], &NO_DOMAIN].concat(),
         verify.to_vec(),
     ]
 }
@@ -120,7 +136,8 @@ fn a_team_loads_no_other_bundle_that_nobody_signed() {
     let (bundle, large, keys) = (signer.path("better"), signer.path("large"), signer.path("keys"));
     let domain = TestDomain::new("reload");
     let told = ["up", &bundle, "--trust", &keys, "--domain", &domain.id, "--quiet", "--isolate"];
-    let mut up = sortie(&told).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("a team");
+    let up = sortie(&told).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+    let mut up = Playing(up.expect("a team"));
     wait_until("everybody is there", || {
         let told = output(&["control", "info", "--domain", &domain.id, "--json"]);
         let answer: Value = serde_json::from_slice(&told.stdout).unwrap_or_default();
@@ -133,7 +150,7 @@ fn a_team_loads_no_other_bundle_that_nobody_signed() {
     let processes = reloaded["processes"].as_array().expect("processes");
     assert!(processes.iter().all(|process| process["outcome"] == "done"), "{reloaded}");
     json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
-    assert_eq!(up.wait().expect("its status").code(), Some(0));
+    assert_eq!(up.0.wait().expect("its status").code(), Some(0));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 
@@ -143,7 +160,8 @@ fn a_plan_is_signed_beside_itself_and_served_to_who_trusts_its_signer() {
     let (plan, keys) = (signer.path("cart.plan"), signer.path("keys"));
     fs::copy(CART, &plan).expect("a copy");
     let serve = ["serve", &plan, "--trust", &keys];
-    assert_fails(&output(&serve), 77, &["cart.plan is not signed"]);
+    let refused = [&serve[..], &NO_DOMAIN].concat();
+    assert_fails(&output(&refused), 77, &["cart.plan is not signed"]);
     signer.sign("cart.plan");
     assert_eq!(fs::read(format!("{plan}.sig")).expect("signatures").len(), 104);
     let domain = TestDomain::new("signed-plan");
@@ -155,13 +173,14 @@ fn a_plan_is_signed_beside_itself_and_served_to_who_trusts_its_signer() {
     assert!(server.wait().expect("its status").success());
     // Of the test key that stands in the documentation of the core, which nobody here trusts.
     fs::copy(format!("{CART}.sig"), format!("{plan}.sig")).expect("a copy");
-    assert_fails(&output(&serve), 77, &["with no key of"]);
+    assert_fails(&output(&refused), 77, &["with no key of"]);
     assert_eq!(json(&["sign", "--list", &plan, "--json"])[0]["refused"], Value::Null);
     signer.sign("cart.plan");
     fs::write(&plan, [&fs::read(CART).expect("a plan")[..], &[0]].concat()).expect("a plan");
-    assert_fails(&output(&serve), 77, &["cart.plan.sig", "forged, or changed since"]);
+    assert_fails(&output(&refused), 77, &["cart.plan.sig", "forged, or changed since"]);
     let onnx = "tests/golden/onnx-unplanned/scatters.onnx";
-    assert_fails(&output(&["serve", onnx, "--trust", &keys]), 2, &["are of bundles and of plans"]);
+    let served = [&["serve", onnx, "--trust", &keys][..], &NO_DOMAIN].concat();
+    assert_fails(&output(&served), 2, &["are of bundles and of plans"]);
     assert_fails(&output(&["verify", onnx, "--trust", &keys]), 2, &["are of bundles and of plans"]);
     assert_fails(&output(&["sign", &signer.path("keys/me"), onnx]), 2, &["compile the file"]);
 }
