@@ -10,14 +10,14 @@ use zerocopy::IntoBytes;
 use super::bell::LinkBell;
 use super::open::{Receiver, drain};
 use super::opener::{FrameReceiver, Opener};
-use super::services::{self, ActionPayload, AllocPayload, LinkSetup, Message, StatPayload};
+use super::services::{self, ActionPayload, AllocPayload, Block, LinkSetup, Message, StatPayload};
 use super::{InterProcess, LinkService};
 use crate::error::Error;
 
 /// A message of a domain.
 #[derive(Clone, Copy, Debug)]
 pub enum Heard<'a> {
-    /// What the world showed.
+    /// What the world showed: its payload lies at an address as [`FrameView`](sortie_core::wire::FrameView) wants.
     Frame(&'a FrameHeader, &'a [u8]),
     /// What an allocator decided.
     Allocation(&'a AllocMsg),
@@ -29,7 +29,7 @@ pub enum Heard<'a> {
 
 /// The same, kept.
 enum Kept {
-    /// Where its payload lies among those of the frames.
+    /// Where its payload lies among the blocks of all frames.
     Frame(FrameHeader, Range<usize>),
     Allocation(AllocMsg),
     Action(ActionMsg),
@@ -37,10 +37,13 @@ enum Kept {
 }
 
 impl Kept {
-    fn heard<'a>(&'a self, payloads: &'a [u8]) -> Heard<'a> {
+    fn heard<'a>(&'a self, payloads: &'a [Block]) -> Heard<'a> {
         match self {
             Self::Frame(header, place) => {
-                Heard::Frame(header, payloads.get(place.clone()).unwrap_or_default())
+                let payload = payloads.get(place.clone()).unwrap_or_default().as_bytes();
+                // Blocks are whole: what is behind the payload is not part of it.
+                let used = payload.len().min(header.len as usize);
+                Heard::Frame(header, &payload[..used])
             }
             Self::Allocation(message) => Heard::Allocation(message),
             Self::Action(message) => Heard::Action(message),
@@ -66,8 +69,8 @@ pub struct IoxRecorder<S: LinkService = InterProcess> {
     actions: Receiver<S, ActionPayload>,
     statuses: Receiver<S, StatPayload>,
     kept: Vec<Kept>,
-    /// Payloads of the frames among them.
-    payloads: Vec<u8>,
+    /// Payloads of the frames among them, each at an address as views of it want.
+    payloads: Vec<Block>,
     /// That of runners, which is rung for every frame and allocation.
     bell: LinkBell<S>,
     /// Dropped last.
@@ -103,10 +106,8 @@ impl<S: LinkService> IoxRecorder<S> {
         // Copied, for a few of them only may be held at once.
         while let Some(sample) = frames.receive().map_err(|_| LinkError::Frames)? {
             let header = *sample.user_header().message();
-            // Blocks are whole: what is behind the payload is not part of it.
-            let payload = sample.payload().as_bytes();
-            let (first, used) = (payloads.len(), payload.len().min(header.len as usize));
-            payloads.extend(&payload[..used]);
+            let first = payloads.len();
+            payloads.extend(sample.payload());
             kept.push(Kept::Frame(header, first..payloads.len()));
         }
         drain(allocations, LinkError::Allocations, &mut |it| kept.push(Kept::Allocation(*it)))?;

@@ -54,6 +54,7 @@ fn a_recorder_that_is_late_by_16_ticks_hears_all_of_them_in_the_order_of_their_s
             heard.push(match message {
                 Heard::Frame(header, payload) => {
                     let tick = (header.t_ns / MESSAGES) as u8;
+                    assert_eq!(payload.as_ptr().addr() % 64, 0, "views of it want that");
                     assert!(!payload.is_empty() && payload.iter().all(|byte| *byte == tick));
                     header.t_ns
                 }
