@@ -25,11 +25,19 @@ const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// # Errors
 /// The file is neither, or of another contract; of a record: its bundle is another one.
 pub fn read_observations(path: &Path, bundle: &Bundle) -> Result<Recording, Failure> {
+    if is_record(path)? { of_record(path, bundle) } else { read_recording(path, bundle) }
+}
+
+/// Whether it is a record of a team. What can be read once only, as a pipe, is none: records are read twice.
+fn is_record(path: &Path) -> Result<bool, Failure> {
+    let failed = |error| Failure::file(path, &error);
+    if !std::fs::metadata(path).map_err(failed)?.is_file() {
+        return Ok(false);
+    }
     let mut start = Vec::new();
-    let file = File::open(path).map_err(|error| Failure::file(path, &error))?;
-    let read = file.take(MAGIC.len() as u64).read_to_end(&mut start);
-    read.map_err(|error| Failure::file(path, &error))?;
-    if start != MAGIC { read_recording(path, bundle) } else { of_record(path, bundle) }
+    let file = File::open(path).map_err(failed)?;
+    file.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(failed)?;
+    Ok(start == MAGIC)
 }
 
 fn of_record(path: &Path, bundle: &Bundle) -> Result<Recording, Failure> {
