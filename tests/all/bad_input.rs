@@ -333,10 +333,11 @@ fn mute_pipe(folder: &Path) -> String {
     path_of(&path)
 }
 
-/// Whether a process sleeps.
+/// Whether a process waits for the pipe: it has that open, and sleeps. Asked the other way round it may have slept before.
 fn is_asleep(child: &Child) -> bool {
+    let is_open = is_reading(child);
     let line = fs::read_to_string(format!("/proc/{}/stat", child.id())).unwrap_or_default();
-    line.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('S')) && is_reading(child)
+    is_open && line.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('S'))
 }
 
 /// Whether a process has the pipe open.
