@@ -6,7 +6,7 @@ use std::fs::{self, File};
 use std::io::{BufReader, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
-use lz4_flex::frame::FrameEncoder;
+use lz4_flex::frame::{BlockSize, FrameEncoder, FrameInfo};
 
 use crate::encode::{
     CHECKSUM, MAGIC, list, opcode, put_end, put_text, put_u16, put_u32, put_u64, record,
@@ -208,7 +208,9 @@ impl Chunks {
         if records.is_empty() {
             return Ok(());
         }
-        let mut packer = FrameEncoder::new(Vec::new());
+        // Readers make room for a whole block before they read it: of the usual 4 MiB that takes longer than what is in it.
+        let blocks = FrameInfo::new().block_size(BlockSize::Max256KB);
+        let mut packer = FrameEncoder::with_frame_info(blocks, Vec::new());
         packer.write_all(&records)?;
         let packed = packer.finish().map_err(std::io::Error::from)?;
         let mut bytes = Vec::new();
