@@ -72,3 +72,13 @@ fn recorded_evaluations_replay() {
     arguments.extend(files.iter().map(String::as_str));
     assert_eq!(json(&arguments)["files"], 5);
 }
+
+#[test]
+fn what_the_front_page_replays_is_equal() {
+    let page = fs::read_to_string("README.md").expect("the front page");
+    let line = page.lines().find_map(|line| line.strip_prefix("sortie replay "));
+    let folder = line.and_then(|line| line.split(' ').next()).expect("what is replayed");
+    let told = json(&["replay", folder, "--json"]);
+    assert!(told["files"].as_u64() > Some(1), "{told}");
+    assert_eq!(told["mismatches"], serde_json::json!([]));
+}
