@@ -108,8 +108,8 @@ impl Files {
 /// `run-3.mcap` of `run.mcap`.
 fn numbered(path: &Path, number: u32) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let ending = path.extension().unwrap_or_default().to_string_lossy();
-    path.with_file_name(format!("{stem}-{number}.{ending}"))
+    let ending = path.extension().map(|ending| format!(".{}", ending.to_string_lossy()));
+    path.with_file_name(format!("{stem}-{number}{}", ending.unwrap_or_default()))
 }
 
 /// What is said at the end of a file.
@@ -129,18 +129,22 @@ pub(super) struct Written {
     bytes: u64,
     /// Bytes after which the next file begins.
     most: Option<u64>,
+    /// It ends in the midst of a message, and nothing is to be written behind that.
+    is_torn: bool,
 }
 
 impl Written {
     pub(super) fn new(mut files: Files, most: Option<u64>) -> Result<Self, Failure> {
         let open = files.create()?;
-        Ok(Self { files, open, bytes: 0, most })
+        Ok(Self { files, open, bytes: 0, most, is_torn: false })
     }
 
     /// Writes what was added.
     pub(super) fn look(&mut self, log: &mut Log) -> Outcome {
-        let Self { open: Open { path, file }, bytes, .. } = self;
-        *bytes += log.writer.flush(file).map_err(|error| full(path, &error))? as u64;
+        let Self { open: Open { path, file }, .. } = self;
+        let flushed = log.writer.flush(file);
+        self.is_torn = flushed.is_err();
+        self.bytes += flushed.map_err(|error| full(path, &error))? as u64;
         if self.most.is_some_and(|most| self.bytes >= most) {
             let next = self.files.create()?;
             close(&mut self.files, std::mem::replace(&mut self.open, next), log)?;
@@ -150,8 +154,10 @@ impl Written {
     }
 
     pub(super) fn end(self, log: &mut Log) -> Outcome {
-        let Self { mut files, open, .. } = self;
-        close(&mut files, open, log)?;
+        let Self { mut files, open, is_torn, .. } = self;
+        if !is_torn {
+            close(&mut files, open, log)?;
+        }
         files.wait()
     }
 }
@@ -208,5 +214,39 @@ fn tell(file: &Path, missed: u64, finished: &Finished, why: Option<&str>, common
     }
     if missed > 0 {
         say!("{} came and went before they were read", plural(missed as usize, "message"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sortie_core::Shape;
+    use sortie_ipc::{DomainContract, DomainFacts};
+
+    use super::*;
+
+    #[test]
+    fn a_file_without_an_ending_has_none_with_a_number() {
+        assert_eq!(numbered(Path::new("a/run.mcap"), 3), Path::new("a/run-3.mcap"));
+        assert_eq!(numbered(Path::new("a/run"), 3), Path::new("a/run-3"));
+    }
+
+    #[test]
+    fn nothing_is_written_behind_what_was_written_in_part() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("run.mcap");
+        let division = Division { path: path.clone(), is_numbered: false, keep: None };
+        let common = Common { json: true, seed: 1, quiet: true };
+        let mut written = Written::new(Files::new(division, common), None)
+            .unwrap_or_else(|it| panic!("{}", it.message));
+        let shape = Shape { agents: 2, entities: 3, tasks: 1, actions: 4, features: 5 };
+        let facts = DomainFacts::new(&DomainContract::default(), shape);
+        let mut log = Log::new(&facts, 0).unwrap_or_else(|it| panic!("{}", it.message));
+        // A descriptor that cannot be written to stands for a disk that is full, and has room again afterwards.
+        let with_room =
+            std::mem::replace(&mut written.open.file, File::open(&path).expect("it is there"));
+        assert!(written.look(&mut log).is_err());
+        written.open.file = with_room;
+        assert!(written.end(&mut log).is_ok());
+        assert_eq!(fs::read(&path).expect("it is there"), b"");
     }
 }
