@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use sortie_bundle::Bundle;
 use sortie_core::plan::AlignedBytes;
-use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, StatMsg};
+use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameView, StatMsg};
 use sortie_ipc::DomainFacts;
 use sortie_record::{Reader, Record, RecordError};
 use zerocopy::FromBytes;
@@ -20,6 +20,13 @@ pub(super) struct Shown {
     pub(super) header: FrameHeader,
     /// At an address as views of it want.
     pub(super) payload: AlignedBytes,
+}
+
+impl Shown {
+    pub(super) fn view(&self, format: &FrameFormat) -> Result<FrameView<'_>, Failure> {
+        FrameView::new(&self.header, self.payload.as_slice(), format)
+            .map_err(|error| Failure::new(Exit::BadData, error.to_string()))
+    }
 }
 
 /// What a record tells again.
@@ -96,8 +103,11 @@ impl Contents {
         Err(Failure::new(Exit::Mismatch, message))
     }
 
-    /// The bundle that the record brings along.
-    pub(super) fn bundle(&self) -> Result<Bundle, Failure> {
+    /// The bundle in this folder, else the one that the record brings along.
+    pub(super) fn bundle(&self, named: Option<&Path>) -> Result<Bundle, Failure> {
+        if let Some(folder) = named {
+            return open_bundle(folder);
+        }
         let folder = self.attached.as_ref().ok_or_else(|| {
             let advice = "name the team's by --bundle, or record with it: sortie record BUNDLE";
             bad(&self.path, format!("it brings no bundle along; {advice}"))

@@ -20,7 +20,7 @@ use sortie_bundle::Bundle;
 
 use crate::allocation::AllocatorChoice;
 use crate::allocator::{DeployedAllocator, ProposalArguments};
-use crate::deployment::{model_id, open_bundle};
+use crate::deployment::model_id;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Common, plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
@@ -67,10 +67,7 @@ struct Remade<'a> {
 
 pub(crate) fn run(arguments: &RemakeArguments) -> Outcome {
     let contents = Contents::read(&arguments.record)?;
-    let bundle = match &arguments.bundle {
-        Some(folder) => open_bundle(folder)?,
-        None => contents.bundle()?,
-    };
+    let bundle = contents.bundle(arguments.bundle.as_deref())?;
     let draws = (arguments.common.seed, arguments.proposals);
     let mut deployed = Deployed::open(&contents, &bundle, draws)?;
     let mut comparison = Comparison::new(model_id(&bundle));

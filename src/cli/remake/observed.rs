@@ -2,12 +2,12 @@
 
 use std::cell::RefCell;
 use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 use sortie_bundle::{Bundle, Recording};
 use sortie_core::Policy;
 use sortie_learn::draft::DecoratedPolicy;
+use sortie_record::{Reader, RecordError};
 
 use super::Deployed;
 use super::comparison::Comparison;
@@ -16,9 +16,6 @@ use super::roles::Roles;
 use crate::deployment::model_id;
 use crate::failure::Failure;
 use crate::files::{read_recording, recording_of};
-
-/// How a record of a team begins.
-const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
 /// Observations that fit a bundle: of a file of them, or of a record of a team that ran the bundle.
 ///
@@ -34,10 +31,11 @@ fn is_record(path: &Path) -> Result<bool, Failure> {
     if !std::fs::metadata(path).map_err(failed)?.is_file() {
         return Ok(false);
     }
-    let mut start = Vec::new();
-    let file = File::open(path).map_err(failed)?;
-    file.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(failed)?;
-    Ok(start == MAGIC)
+    match Reader::new(File::open(path).map_err(failed)?) {
+        Ok(_) => Ok(true),
+        Err(RecordError::Io(error)) => Err(failed(error)),
+        Err(_) => Ok(false),
+    }
 }
 
 fn of_record(path: &Path, bundle: &Bundle) -> Result<Recording, Failure> {

@@ -7,17 +7,18 @@ use clap::Args;
 use sortie_bundle::Bundle;
 use sortie_core::Policy;
 use sortie_core::choose::masked_argmax;
-use sortie_core::wire::{ActionMsg, AllocMsg, FrameView};
+use sortie_core::wire::{ActionMsg, AllocMsg};
 use sortie_learn::draft::DecoratedPolicy;
 use sortie_plans::AttentionProbe;
 use sortie_stage::Thought;
 
-use super::Deployed;
 use super::comparison::Comparison;
 use super::contents::{Contents, Shown, Told};
 use super::reasons::{Allocated, Reasons};
 use super::roles::{Made, Roles};
-use crate::deployment::{model_id, open_bundle};
+use super::{Deployed, choice};
+use crate::allocation::AllocatorChoice;
+use crate::deployment::model_id;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Common, print_json, tell};
 use crate::views::probes::{TeamNetwork, attention_of};
@@ -52,10 +53,7 @@ pub(crate) struct WhyArguments {
 
 pub(crate) fn run(arguments: &WhyArguments) -> Outcome {
     let contents = Contents::read(&arguments.record)?;
-    let bundle = match &arguments.bundle {
-        Some(folder) => open_bundle(folder)?,
-        None => contents.bundle()?,
-    };
+    let bundle = contents.bundle(arguments.bundle.as_deref())?;
     let asked = Asked::find(&contents, arguments)?;
     let reasons = reasons(&contents, &bundle, &asked)?;
     if arguments.common.json {
@@ -71,32 +69,38 @@ struct Asked {
     answer: ActionMsg,
     /// Its place among the record's runners.
     runner: usize,
-    /// What it acted on, where the record has that.
-    allocation: Option<AllocMsg>,
 }
 
 impl Asked {
     /// The newest of this tick: ticks are counted anew where another world takes over.
     fn find(contents: &Contents, arguments: &WhyArguments) -> Result<Self, Failure> {
         let WhyArguments { agent, tick, .. } = *arguments;
-        let (mut found, mut allocations) = (None, Vec::new());
+        let mut found = None;
         contents.replay(&mut |told| match told {
             Told::Action(it) if !it.has(ActionMsg::BYE) => {
                 if it.agent == agent && it.tick as u32 == tick {
                     found = Some(it);
                 }
             }
-            Told::Allocation(it) => allocations.push(it),
-            Told::Action(_) | Told::Frame(_) => {}
+            Told::Action(_) | Told::Allocation(_) | Told::Frame(_) => {}
         })?;
         let answer = found.ok_or_else(|| {
             let message = format!("the record has no action of agent {agent} in tick {tick}");
             Failure::new(Exit::Missing, message)
         })?;
-        let order = (answer.alloc_term, answer.alloc_epoch);
-        let allocation = allocations.into_iter().find(|it| it.order() == order);
         let runner = contents.runners.iter().position(|pid| *pid == answer.runner);
-        Ok(Self { answer, runner: runner.unwrap_or_default(), allocation })
+        Ok(Self { answer, runner: runner.unwrap_or_default() })
+    }
+
+    /// The allocation that it acted on, if this is it.
+    fn its_allocation(&self, told: &Told) -> Option<AllocMsg> {
+        let Self { answer, .. } = self;
+        match told {
+            Told::Allocation(it) if it.order() == (answer.alloc_term, answer.alloc_epoch) => {
+                Some(*it)
+            }
+            _ => None,
+        }
     }
 
     /// Whether what is told comes too late to have a part in the answer.
@@ -139,14 +143,9 @@ fn reasons(contents: &Contents, bundle: &Bundle, asked: &Asked) -> Result<Reason
         if is_over {
             return;
         }
-        let is_its = |it: &AllocMsg| asked.allocation.is_some_and(|its| its.order() == it.order());
-        let order = match &told {
-            Told::Allocation(it) if is_its(it) => Some(*it),
-            _ => None,
-        };
+        let its = asked.its_allocation(&told);
         roles.hear(told);
-        let frame = order.and_then(|it| Some((it, roles.frame(it.tick)?)));
-        if let Some((it, frame)) = frame {
+        if let Some((it, frame)) = its.and_then(|it| Some((it, roles.frame(it.tick)?))) {
             allocated = Some(worth(contents, bundle, (&it, frame), asked.answer.agent));
         }
     })?;
@@ -156,8 +155,7 @@ fn reasons(contents: &Contents, bundle: &Bundle, asked: &Asked) -> Result<Reason
     is_known(before, roles.made())?;
     let frame = roles.frame(asked.answer.tick).ok_or_else(|| lacks("its frame"))?;
     let thought = ear.heard.borrow_mut().take();
-    let view = FrameView::new(&frame.header, frame.payload.as_slice(), &contents.format);
-    let view = view.map_err(|error| Failure::new(Exit::BadData, error.to_string()))?;
+    let view = frame.view(&contents.format)?;
     let allocated = allocated.transpose()?;
     Ok(Reasons::new(bundle.contract(), (&asked.answer, &view), thought, allocated))
 }
@@ -187,15 +185,12 @@ fn worth(
     (allocation, frame): (&AllocMsg, &Shown),
     agent: u16,
 ) -> Result<Allocated, Failure> {
-    let view = FrameView::new(&frame.header, frame.payload.as_slice(), &contents.format);
-    let view = view.map_err(|error| Failure::new(Exit::BadData, error.to_string()))?;
+    let view = frame.view(&contents.format)?;
     let state = view.allocation_state();
-    let is_learned = contents.facts.allocation() == Some("learned");
-    let values_teams = is_learned
-        && bundle.allocator_onnx().is_some()
-        && bundle.proposal_graphs().is_none()
-        && bundle.pointing_graphs().is_none()
-        && allocation.flags & AllocMsg::HEURISTIC == 0;
+    let choice = contents.facts.allocation().map(choice).transpose()?;
+    let is_learned = choice == Some(AllocatorChoice::Learned);
+    let is_rule = allocation.flags & AllocMsg::HEURISTIC != 0;
+    let values_teams = is_learned && !is_rule && bundle.allocator_onnx().is_some();
     let mut values = values_teams.then(|| TeamNetwork::open(bundle)).transpose()?;
     let mut values = values.as_mut().map(|values| values.of_state(state)).transpose()?;
     let team_max = usize::from(bundle.manifest().limits.team_max);
