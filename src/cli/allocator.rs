@@ -66,7 +66,7 @@ impl DeployedAllocator {
     }
 
     /// The allocator over this memory.
-    pub fn allocator(&mut self) -> Result<Box<dyn Allocator + '_>, Failure> {
+    pub fn allocator(&mut self) -> Result<Box<dyn Allocator + Send + '_>, Failure> {
         match self {
             Self::Rule(rule) => Ok(Box::new(rule)),
             Self::Learned(learned) => Ok(Box::new(learned.allocator()?)),
@@ -122,12 +122,12 @@ impl LearnedAllocator {
     }
 
     /// The team-value network alone.
-    pub fn network(&mut self) -> Result<impl TeamValueNetwork + '_, Failure> {
+    pub fn network(&mut self) -> Result<impl TeamValueNetwork + Send + '_, Failure> {
         self.network.bind()
     }
 
     /// Network and search.
-    pub fn allocator(&mut self) -> Result<impl Allocator + '_, Failure> {
+    pub fn allocator(&mut self) -> Result<impl Allocator + Send + '_, Failure> {
         Ok(self.search.allocator(self.network.bind()?))
     }
 }
@@ -142,12 +142,12 @@ pub fn none_learned(name: &str) -> Failure {
 
 enum NetworkMemory {
     Plan(TeamValuePlan),
-    Graph(Box<dyn TeamValueNetwork>),
+    Graph(Box<dyn TeamValueNetwork + Send>),
 }
 
 enum BoundNetwork<'a> {
     Plan(Box<PlanTeamValue<'a>>),
-    Graph(&'a mut dyn TeamValueNetwork),
+    Graph(&'a mut (dyn TeamValueNetwork + Send)),
 }
 
 impl NetworkMemory {
@@ -291,7 +291,7 @@ impl ProposalMemory {
     }
 
     /// The allocator over this memory.
-    pub fn allocator(&mut self) -> Result<impl Allocator + '_, Failure> {
+    pub fn allocator(&mut self) -> Result<impl Allocator + Send + '_, Failure> {
         let Self { plan, arena, proposals, seed } = self;
         let bound = Plan::load(plan.as_slice())
             .and_then(|plan| ProposalAllocator::new(plan, arena.as_mut_slice(), *proposals, *seed));

@@ -1,21 +1,17 @@
 //! `sortie control`: tells the processes of a running team, or the server of a policy, what to do.
 
-use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 use sortie_core::wire::{Command, ControlStatus};
 use sortie_ipc::{Answer, Domain, Order, control};
 
-use crate::allocation::AllocatorChoice;
-use crate::allocator::{DeployedAllocator, ProposalArguments};
-use crate::deployment::{model_text, open_bundle};
+use crate::deployment::model_text;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::ENGINE;
 use crate::output::{print_json, say};
-use crate::policy::{Backend, DeployedPolicy};
-use crate::run::process;
+use crate::swap::{self, SwapArguments};
 
 /// Tell the processes of a running team what to do: say who they are, pause, continue, end, change the leader
 ///
@@ -27,6 +23,7 @@ use crate::run::process;
   sortie control pause --domain north
   sortie control step-down --json
   sortie control reload models/save-the-city-large
+  sortie control swap models/save-the-city-large --shadow 30s --at next-episode --back-if fallbacks,disagreement=0.3
   sortie control log-level warn --process 4711")]
 pub(crate) struct ControlArguments {
     #[command(subcommand)]
@@ -56,11 +53,13 @@ enum OrderArgument {
     ShutDown,
     /// The leading allocator lets a standby lead
     StepDown,
-    /// Runners and allocators go on with another bundle of the same contract, between two ticks
+    /// Runners and allocators go on with another bundle of the same contract, all at the next tick or none
     Reload {
         /// Folder of the bundle, beside that of the bundle in use: processes are told its name only
         bundle: PathBuf,
     },
+    /// The same with more say: watched first, at which tick, and when to turn back
+    Swap(SwapArguments),
     /// What the messaging library may say on standard error
     LogLevel {
         #[arg(value_enum)]
@@ -80,6 +79,15 @@ enum Level {
 }
 
 impl OrderArgument {
+    /// A change of bundle, which is more than one order.
+    fn swap(&self) -> Option<SwapArguments> {
+        match self {
+            Self::Reload { bundle } => Some(SwapArguments::plain(bundle.clone())),
+            Self::Swap(arguments) => Some(arguments.clone()),
+            _ => None,
+        }
+    }
+
     fn order(&self, process: Option<u32>) -> Order {
         let (command, number) = match self {
             Self::Info => (Command::Info, 0),
@@ -88,36 +96,19 @@ impl OrderArgument {
             Self::ResetEpisode => (Command::ResetEpisode, 0),
             Self::ShutDown => (Command::ShutDown, 0),
             Self::StepDown => (Command::StepDown, 0),
-            Self::Reload { .. } => (Command::ReloadModel, 0),
+            Self::Reload { .. } | Self::Swap(_) => (Command::SwapBundle, 0),
             Self::LogLevel { level } => (Command::SetLogLevel, *level as u64),
         };
         Order { process, number, ..Order::new(command) }
     }
 }
 
-/// The name of a bundle for those who are to load it, once it can be loaded fast: compiled here, not by processes
-/// that others wait for.
-fn prepare(folder: &Path) -> Result<String, Failure> {
-    let bundle = open_bundle(folder)?;
-    DeployedPolicy::open(&bundle, Backend::Plan)?;
-    if bundle.has_allocator() {
-        let (choice, proposals) = (AllocatorChoice::Learned, ProposalArguments::default());
-        DeployedAllocator::open(&bundle, choice, Backend::Plan, 0, proposals)?;
-    }
-    let name = folder.canonicalize().ok();
-    let name = name.as_deref().and_then(Path::file_name).and_then(OsStr::to_str);
-    name.filter(|name| process::is_key(name)).map(str::to_string).ok_or_else(|| {
-        let message = "the bundle's folder needs a name of up to 32 letters, digits, `.`, `_`, `-`";
-        Failure::new(Exit::Usage, message)
-    })
-}
-
 pub(crate) fn run(arguments: &ControlArguments) -> Outcome {
     let domain = Domain::new(&arguments.domain)?;
-    let mut order = arguments.order.order(arguments.process);
-    if let OrderArgument::Reload { bundle } = &arguments.order {
-        order = order.with_text(&prepare(bundle)?);
+    if let Some(swap) = arguments.order.swap() {
+        return swap::run(&swap, &domain, arguments.json);
     }
+    let order = arguments.order.order(arguments.process);
     let answers = control(&domain, &order)?;
     if arguments.json {
         let processes = answers.iter().map(ToldProcess::new).collect();
@@ -163,6 +154,9 @@ fn line(answer: &Answer) -> String {
     if process.model != [0; 16] {
         line += &format!(", model {:.8}", model(answer));
     }
+    if process.generation != 0 {
+        line += &format!(", bundle changed for the {}. time", process.generation);
+    }
     if let Some(term) = process.term {
         line += &format!(", leads in term {term}");
     }
@@ -187,6 +181,7 @@ fn outcome(status: Option<ControlStatus>) -> &'static str {
         Some(ControlStatus::NotSupported) => "not supported",
         Some(ControlStatus::Foreign) => "of another version or contract, or too small",
         Some(ControlStatus::BadArgument) => "no such value",
+        Some(ControlStatus::Outdated) => "another change of the bundle has come before",
         None => "answers what only a later version knows",
     }
 }
@@ -223,6 +218,8 @@ struct ToldProcess {
     absent: Vec<u16>,
     absent_since: Option<u64>,
     model: String,
+    /// How often the team has changed its bundle.
+    generation: u16,
     term: Option<u32>,
     leads: bool,
     paused: bool,
@@ -245,6 +242,7 @@ impl ToldProcess {
             absent: agents(process.absent),
             absent_since: (process.absent != 0).then_some(process.absent_since),
             model: model(answer),
+            generation: process.generation,
             term: process.term,
             leads: process.term.is_some(),
             paused: process.is_paused,
@@ -275,6 +273,8 @@ mod tests {
             is_degraded: false,
             serves: false,
             is_graph: false,
+            generation: 0,
+            candidate: sortie_ipc::Candidate::None,
         };
         Answer { process, status: Some(status), tick: (2 << 32) + 30 }
     }

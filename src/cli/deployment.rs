@@ -1,6 +1,6 @@
 //! What a bundle means to a domain.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use sortie_bundle::{Bundle, BundleError, Environment, MANIFEST, SubtaskConditioning};
 use sortie_ipc::DomainContract;
@@ -59,10 +59,33 @@ pub fn domain_contract(bundle: &Bundle, allocation: Option<AllocatorChoice>) -> 
         subtasks: contract.subtask_conditioning == SubtaskConditioning::Mask,
         safe_action: contract.safe_action,
         model: model_id(bundle),
+        bundle: bundle_name(bundle.folder()),
         allocation: allocation.map(|choice| choice.name().to_string()),
         mixes_teams: false,
         fields,
     }
+}
+
+/// Most bytes of a bundle's name on the wire.
+const NAME_BYTES: usize = 32;
+
+/// Whether a text names a bundle beside another: a folder, never a path.
+pub(crate) fn is_bundle_name(text: &str) -> bool {
+    let is_letter = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
+    (1..=NAME_BYTES).contains(&text.len()) && !text.starts_with('.') && text.bytes().all(is_letter)
+}
+
+/// The name by which processes know a bundle, where its folder has one that may travel.
+pub(crate) fn bundle_name(folder: &Path) -> Option<String> {
+    let folder = folder.canonicalize().ok()?;
+    let name = folder.file_name()?.to_str()?;
+    is_bundle_name(name).then(|| name.to_string())
+}
+
+/// The bundle of this name beside another.
+pub(crate) fn beside(folder: &Path, name: &str) -> PathBuf {
+    let parent = folder.parent().filter(|parent| !parent.as_os_str().is_empty());
+    parent.unwrap_or(Path::new(".")).join(name)
 }
 
 /// A model's id in messages, as it is written.
@@ -77,4 +100,21 @@ pub fn model_id(bundle: &Bundle) -> [u8; 16] {
         *to = *from;
     }
     id
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bundle_is_named_by_its_folder_and_never_by_a_path() {
+        for name in ["a-team", "v1.2_b", &"x".repeat(32)] {
+            assert!(is_bundle_name(name), "{name}");
+        }
+        for path in ["", ".", "..", "a/b", "/a", "..\\a", "a b", &"x".repeat(33)] {
+            assert!(!is_bundle_name(path), "{path}");
+        }
+        assert_eq!(beside(Path::new("models/a"), "b"), Path::new("models/b"));
+        assert_eq!(beside(Path::new("a"), "b"), Path::new("./b"));
+    }
 }

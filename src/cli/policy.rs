@@ -69,7 +69,7 @@ pub struct DeployedPolicy {
 
 enum Engine {
     Plans { plans: AgentPlans, arenas: Vec<AlignedBytes> },
-    Graph(Box<dyn Policy>),
+    Graph(Box<dyn Policy + Send>),
 }
 
 impl DeployedPolicy {
@@ -106,12 +106,12 @@ impl DeployedPolicy {
     }
 
     /// The policy over this memory, for callers that keep what agents remember.
-    pub fn policy(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
+    pub fn policy(&mut self) -> Result<Box<dyn Policy + Send + '_>, Failure> {
         self.engine.policy()
     }
 
     /// The policy over this memory, that of one team: it keeps what agents remember, until their episode is over.
-    pub fn team(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
+    pub fn team(&mut self) -> Result<Box<dyn Policy + Send + '_>, Failure> {
         let Self { engine, memory } = self;
         let policy = engine.policy()?;
         Ok(if memory.is_empty() { policy } else { Box::new(Remembering::new(policy, memory)) })
@@ -122,13 +122,13 @@ impl DeployedPolicy {
 pub fn graph_policy(
     bundle: &Bundle,
     engine: &dyn GraphEngine,
-) -> Result<Box<dyn Policy>, CompileError> {
+) -> Result<Box<dyn Policy + Send>, CompileError> {
     let (onnx, contract) = (bundle.agent_onnx(), bundle.contract());
     if let Some(options) = bundle.options() {
         return options_over_graphs(bundle, options, option_graphs(bundle, engine)?);
     }
     if let Some(roles) = roles_of(bundle)? {
-        let policy = |graph: &AgentGraph| -> Result<Box<dyn Policy>, CompileError> {
+        let policy = |graph: &AgentGraph| -> Result<Box<dyn Policy + Send>, CompileError> {
             let onnx = bundle.graph_onnx(graph);
             compiler().rehearse_policy(onnx, &roles)?;
             let policy = engine.flat_policy(onnx, &roles)?;
@@ -159,7 +159,7 @@ pub fn option_graphs(
 }
 
 impl Engine {
-    fn policy(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
+    fn policy(&mut self) -> Result<Box<dyn Policy + Send + '_>, Failure> {
         match self {
             Self::Plans { plans, arenas } => {
                 Ok(plans.policy(arenas).map_err(CompileError::from)?)

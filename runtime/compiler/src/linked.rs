@@ -123,11 +123,14 @@ macro_rules! runs_graphs {
                 &self,
                 onnx: &[u8],
                 features: usize,
-            ) -> Result<Box<dyn Policy>, CompileError> {
+            ) -> Result<Box<dyn Policy + Send>, CompileError> {
                 Ok(Box::new(GraphPolicy::open(&Graph::read(onnx)?, features, self)?))
             }
 
-            fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork>, CompileError> {
+            fn team_value(
+                &self,
+                onnx: &[u8],
+            ) -> Result<Box<dyn TeamValueNetwork + Send>, CompileError> {
                 Ok(Box::new(GraphTeamValue::open(&Graph::read(onnx)?, self)?))
             }
 

@@ -45,7 +45,10 @@ impl<'a, S: OperatorSet> PlanPolicy<'a, S> {
 impl<'a> PlanPolicy<'a> {
     /// As [`Self::new`], behind a trait object that is compiled with this crate: the executor of all operators is
     /// large, and a crate that names its type compiles it once more.
-    pub fn boxed(plan: Plan<'a>, arena: &'a mut [u8]) -> Result<Box<dyn Policy + 'a>, PlanError> {
+    pub fn boxed(
+        plan: Plan<'a>,
+        arena: &'a mut [u8],
+    ) -> Result<Box<dyn Policy + Send + 'a>, PlanError> {
         Ok(Box::new(Self::new(plan, arena)?))
     }
 }

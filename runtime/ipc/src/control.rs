@@ -12,8 +12,6 @@ use crate::process_info::ProcessInfo;
 
 /// How long answers are waited for. A process looks for requests whenever it is woken, or after 100 ms.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// The same for what takes a process longer: networks may have to be compiled.
-const LOADING_PATIENCE: Duration = Duration::from_secs(30);
 /// A world that was killed holds its lock until the system has freed what it had.
 const DYING: Duration = Duration::from_millis(250);
 
@@ -27,7 +25,7 @@ pub struct Order {
     pub process: Option<u32>,
     /// A number for the command: the level of [`Command::SetLogLevel`].
     pub number: u64,
-    /// A text for the command, zero padded: the key of [`Command::ReloadModel`].
+    /// A text for the command, zero padded: the name of [`Command::PrepareBundle`].
     pub text: [u8; 32],
 }
 
@@ -149,8 +147,7 @@ fn tell_server(
 }
 
 fn ask(link: &mut IoxControl, schema: u64, order: &Order) -> Result<Vec<Answer>, Error> {
-    let loads = order.command == Command::ReloadModel;
-    ask_within(link, schema, order, if loads { LOADING_PATIENCE } else { PATIENCE })
+    ask_within(link, schema, order, PATIENCE)
 }
 
 fn ask_within(

@@ -18,11 +18,15 @@ mod processes;
 mod real_time;
 mod stop;
 mod supervisor;
+mod swap;
 mod threads;
 
 pub use control::{Answer, Order, control};
 pub use doctor::{Finding, Severity, examine};
-pub use domain::{BellKind, Domain, DomainContract, DomainFacts, Lock, Membership, Starting};
+pub use domain::{
+    BellKind, Domain, DomainContract, DomainFacts, Lock, Membership, Starting, TeamBundle,
+    TeamBundles,
+};
 pub use doorbell::Doorbell;
 pub use error::Error;
 pub use in_process::{InProcess, run_in_process};
@@ -34,13 +38,14 @@ pub use policy::{
     Action, ClientCounters, ClientSettings, Engine, Expected, Fallback, PolicyClient, PolicySchema,
     PolicyServer, Port, ServeCounters, ServeSettings, Served,
 };
-pub use process_info::{Ended, LoadedModel, NotAProcess, ProcessInfo, Registry};
+pub use process_info::{Candidate, NotAProcess, ProcessInfo};
 pub use processes::{
-    AllocatorProcess, Children, Fill, ProcessSettings, RunnerProcess, WorldSettings,
-    allocator_process, group_agents, runner_process, runner_process_with_heuristic, world_process,
-    world_process_with_fill,
+    AllocatorProcess, Children, Fill, Loaded, LoadedModel, ProcessSettings, Registry,
+    RunnerProcess, SwappedAllocator, SwappedPolicy, WorldSettings, allocator_process, group_agents,
+    runner_process, runner_process_with_heuristic, world_process, world_process_with_fill,
 };
 pub use real_time::RealTime;
 pub use stop::{MonotonicClock, Stop, Wakeable, Waker, outlive_file_limits};
 pub use supervisor::{Charge, RestartPolicy, Supervision, SupervisorEvent, supervise};
+pub use swap::{Readiness, Swap};
 pub use threads::{ThreadAgent, ThreadAllocator, ThreadWorld, Threads};

@@ -1,9 +1,8 @@
-//! Who a process is, as it answers those who ask, which version of this crate it runs, and models that it can change to.
+//! Who a process is, as it answers those who ask, and which version of this crate it runs.
 
 use std::fmt;
 use std::str::FromStr;
 
-use sortie_core::Shape;
 use sortie_core::roles::Identity;
 use sortie_core::wire::{ControlStatus, Role};
 
@@ -32,6 +31,49 @@ pub struct ProcessInfo {
     pub serves: bool,
     /// It runs a network's graph, which allocates and promises nothing about bits or time.
     pub is_graph: bool,
+    /// How often its team has changed its bundle, as the newest frame says.
+    pub generation: u16,
+    /// The bundle that it has opened beside the one in use.
+    pub candidate: Candidate,
+}
+
+/// What became of the bundle that a process was told to prepare.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Candidate {
+    /// It was told nothing.
+    #[default]
+    None,
+    /// It is being opened.
+    Loading,
+    /// It is ready to decide.
+    Ready {
+        /// First 4 bytes of its id.
+        model: [u8; 4],
+    },
+    /// It cannot be used.
+    Refused {
+        /// Why.
+        status: ControlStatus,
+    },
+}
+
+impl Candidate {
+    /// The bundle of this id.
+    pub(crate) fn ready([a, b, c, d, ..]: [u8; 16]) -> Self {
+        Self::Ready { model: [a, b, c, d] }
+    }
+
+    fn from_word(word: &str) -> Option<Self> {
+        if word == "loading" {
+            return Some(Self::Loading);
+        }
+        if let Some(number) = word.strip_prefix("refused") {
+            let status = number.parse().ok().and_then(ControlStatus::from_number)?;
+            return Some(Self::Refused { status });
+        }
+        let model = u32::from_str_radix(word, 16).ok()?.to_be_bytes();
+        Some(Self::Ready { model })
+    }
 }
 
 impl ProcessInfo {
@@ -50,6 +92,8 @@ impl ProcessInfo {
             is_degraded: false,
             serves: false,
             is_graph,
+            generation: 0,
+            candidate: Candidate::None,
         }
     }
 }
@@ -67,6 +111,17 @@ impl fmt::Display for ProcessInfo {
         }
         if self.absent != 0 {
             write!(f, " absent={:x} absent_since={:x}", self.absent, self.absent_since)?;
+        }
+        if self.generation != 0 {
+            write!(f, " generation={}", self.generation)?;
+        }
+        match self.candidate {
+            Candidate::None => {}
+            Candidate::Loading => f.write_str(" next=loading")?,
+            Candidate::Ready { model } => {
+                write!(f, " next={:08x}", u32::from_be_bytes(model))?;
+            }
+            Candidate::Refused { status } => write!(f, " next=refused{}", status as i32)?,
         }
         let Self { is_paused, is_degraded, serves, is_graph, .. } = *self;
         let flags = [is_paused, is_degraded, serves, is_graph];
@@ -107,6 +162,8 @@ impl FromStr for ProcessInfo {
             is_degraded,
             serves,
             is_graph,
+            generation: value("generation").and_then(|number| number.parse().ok()).unwrap_or(0),
+            candidate: value("next").and_then(Candidate::from_word).unwrap_or_default(),
         })
     }
 }
@@ -128,73 +185,6 @@ pub(crate) fn version(build: u32) -> String {
     format!("{}.{}.{}", build >> 24, build >> 16 & 0xFF, build & 0xFFFF)
 }
 
-/// Where a process finds other models, by name.
-pub trait Registry {
-    /// Loads the model of `key`, checked and ready to be bound, and keeps it for the caller of the process. The one in
-    /// use stays as it is. The process stands still meanwhile.
-    ///
-    /// # Errors
-    /// [`ControlStatus::BadArgument`]: there is none under this key, or it cannot be read. A model of another contract,
-    /// or too small for the domain, is refused by the process as [`ControlStatus::Foreign`].
-    fn load(&mut self, key: &str) -> Result<LoadedModel, ControlStatus>;
-}
-
-/// A model as far as its process has to know it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LoadedModel {
-    /// Hash of the contract that it was trained for.
-    pub contract: u64,
-    /// First 16 bytes of its id.
-    pub id: [u8; 16],
-    /// Most entities that it takes.
-    pub entities_max: usize,
-    /// Most subtasks that it takes.
-    pub tasks_max: usize,
-}
-
-impl LoadedModel {
-    fn fits(&self, contract: u64, shape: Shape) -> bool {
-        self.contract == contract
-            && shape.entities <= self.entities_max
-            && shape.tasks <= self.tasks_max
-    }
-}
-
-/// What a process that works with a model ended with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
-    /// The world has ended, or the process was told to.
-    WithWorld,
-    /// It is to go on with the model that its registry loaded last.
-    ForNextModel,
-}
-
-/// What is needed to judge and to change models while a process runs.
-pub(crate) struct Reloading<'a> {
-    pub(crate) registry: Option<&'a mut dyn Registry>,
-    pub(crate) contract: u64,
-    pub(crate) shape: Shape,
-    /// A model has been loaded that is to be bound.
-    pub(crate) is_due: bool,
-}
-
-impl Reloading<'_> {
-    /// Loads the model of `key`: its id, or what to answer.
-    pub(crate) fn load(&mut self, key: &str) -> Result<[u8; 16], ControlStatus> {
-        let registry = self.registry.as_mut().ok_or(ControlStatus::NotSupported)?;
-        let model = registry.load(key)?;
-        if !model.fits(self.contract, self.shape) {
-            return Err(ControlStatus::Foreign);
-        }
-        self.is_due = true;
-        Ok(model.id)
-    }
-
-    pub(crate) fn ended(&self) -> Ended {
-        if self.is_due { Ended::ForNextModel } else { Ended::WithWorld }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -213,6 +203,8 @@ mod tests {
             is_degraded: true,
             serves: true,
             is_graph: true,
+            generation: u16::MAX,
+            candidate: Candidate::Ready { model: [0xAB; 4] },
         };
         let text = widest.to_string();
         assert!(text.len() <= 224, "{}", text.len());

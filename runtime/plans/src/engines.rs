@@ -76,13 +76,13 @@ pub trait GraphEngine: Sync {
     ///
     /// # Errors
     /// The file cannot be read, or has other sizes.
-    fn policy(&self, onnx: &[u8], features: usize) -> Result<Box<dyn Policy>, CompileError>;
+    fn policy(&self, onnx: &[u8], features: usize) -> Result<Box<dyn Policy + Send>, CompileError>;
 
     /// The graph of a team-value network.
     ///
     /// # Errors
     /// The file cannot be read.
-    fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork>, CompileError>;
+    fn team_value(&self, onnx: &[u8]) -> Result<Box<dyn TeamValueNetwork + Send>, CompileError>;
 
     /// A policy of which only what these options say is known.
     ///

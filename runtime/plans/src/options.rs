@@ -42,7 +42,7 @@ pub(crate) fn over_plans<'a>(
     (options, actions): (&OptionsContract, usize),
     plans: &'a [AlignedBytes],
     arenas: &'a mut [AlignedBytes],
-) -> Result<Box<dyn Policy + 'a>, PlanError> {
+) -> Result<Box<dyn Policy + Send + 'a>, PlanError> {
     let [arena, row] = arenas else { return Err(PlanError::WrongNetwork) };
     let networks = option_networks(plans, arena)?;
     let row = <[f32]>::mut_from_bytes(row.as_mut_slice()).map_err(|_| PlanError::WrongNetwork)?;
@@ -83,7 +83,7 @@ pub fn options_over_graphs(
     bundle: &Bundle,
     options: &OptionsContract,
     graphs: [Box<dyn FlatPolicy>; 3],
-) -> Result<Box<dyn Policy>, CompileError> {
+) -> Result<Box<dyn Policy + Send>, CompileError> {
     let actions = bundle.contract().actions.into();
     Ok(Box::new(option_policy((options, actions), GraphNetworks(graphs))?))
 }

@@ -191,7 +191,7 @@ pub fn finite_score(number: f32) -> f32 {
 /// A policy with fixed sizes. Its caller keeps the recurrent states.
 ///
 /// All numbers cross as f32: masks are 0 and 1, and whole numbers are exact as far as 2^24.
-pub trait FlatPolicy {
+pub trait FlatPolicy: Send {
     /// What it takes and gives.
     fn facts(&self) -> &PolicyFacts;
 

@@ -129,7 +129,7 @@ impl AgentPlans {
     pub fn policy<'a>(
         &'a self,
         arenas: &'a mut [AlignedBytes],
-    ) -> Result<Box<dyn Policy + 'a>, PlanError> {
+    ) -> Result<Box<dyn Policy + Send + 'a>, PlanError> {
         if let Some(options) = &self.options {
             return options::over_plans((options, self.actions), &self.plans, arenas);
         }
@@ -144,10 +144,10 @@ impl AgentPlans {
 /// The policy of a team that decides by these: the only one where it is for all, else for each agent the one that
 /// `policy_of` names.
 pub fn policy_by_agent<'a>(
-    mut policies: Vec<Box<dyn Policy + 'a>>,
+    mut policies: Vec<Box<dyn Policy + Send + 'a>>,
     policy_of: &[u16],
     actions: usize,
-) -> Box<dyn Policy + 'a> {
+) -> Box<dyn Policy + Send + 'a> {
     if policy_of.is_empty()
         && let Some(of_all) = policies.pop()
     {

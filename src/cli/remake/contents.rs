@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 
 use sortie_bundle::Bundle;
 use sortie_core::plan::AlignedBytes;
-use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameView, StatMsg};
-use sortie_ipc::DomainFacts;
+use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameView, Role, StatMsg};
+use sortie_ipc::{DomainFacts, Heard, ProcessInfo};
 use sortie_record::{Reader, Record, RecordError};
 use zerocopy::FromBytes;
 
@@ -34,6 +34,21 @@ pub(super) enum Told {
     Frame(Shown),
     Action(ActionMsg),
     Allocation(AllocMsg),
+}
+
+impl Told {
+    /// What a running team said, where it is of a decision.
+    pub(super) fn of(heard: Heard<'_>) -> Option<Self> {
+        match heard {
+            Heard::Frame(header, payload) => {
+                let payload = AlignedBytes::copy_of(payload);
+                Some(Self::Frame(Shown { header: *header, payload }))
+            }
+            Heard::Action(action) => Some(Self::Action(*action)),
+            Heard::Allocation(allocation) => Some(Self::Allocation(*allocation)),
+            Heard::Status(_) => None,
+        }
+    }
 }
 
 /// A record, read once to know what is in it.
@@ -90,6 +105,22 @@ impl Contents {
         let format = facts.format().map_err(|error| bad(path, error))?;
         let path = path.to_owned();
         Ok(Self { path, facts, format, runners, engines, frames, torn_at, attached })
+    }
+
+    /// What a running team is, which tells the rest itself.
+    pub(super) fn of_team(facts: &DomainFacts, processes: &[ProcessInfo]) -> Result<Self, Failure> {
+        let path = PathBuf::from("the running team");
+        let format = facts.format()?;
+        let runners = processes.iter().filter(|process| process.role == Role::Runner);
+        let runners =
+            runners.filter(|process| !process.serves).map(|process| process.pid).collect();
+        let (facts, engines) = (facts.clone(), BTreeSet::new());
+        Ok(Self { path, facts, format, runners, engines, frames: 0, torn_at: None, attached: None })
+    }
+
+    /// Where it comes from.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Refuses a bundle that acts under another contract than the team did.

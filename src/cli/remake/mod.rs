@@ -10,13 +10,14 @@ mod shadow;
 pub(crate) mod why;
 
 pub use observed::read_observations;
-pub(crate) use shadow::shadow;
+pub(crate) use shadow::{Shadowed, shadow, shadow_team};
 
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use sortie_bundle::Bundle;
+use sortie_core::{Allocator, Policy};
 
 use crate::allocation::AllocatorChoice;
 use crate::allocator::{DeployedAllocator, ProposalArguments};
@@ -107,10 +108,13 @@ impl Deployed {
 
     fn team(&mut self) -> Result<Team<'_>, Failure> {
         let Self { policies, fallback, allocator } = self;
+        // They stay in this thread, and what hears them out need not leave it.
+        let team = |policy| DeployedPolicy::team(policy).map(|policy| policy as Box<dyn Policy>);
+        let allocator = allocator.as_mut().map(DeployedAllocator::allocator).transpose()?;
         Ok(Team {
-            policies: policies.iter_mut().map(DeployedPolicy::team).collect::<Result<_, _>>()?,
+            policies: policies.iter_mut().map(team).collect::<Result<_, _>>()?,
             fallback: fallback.as_mut(),
-            allocator: allocator.as_mut().map(DeployedAllocator::allocator).transpose()?,
+            allocator: allocator.map(|allocator| allocator as Box<dyn Allocator>),
         })
     }
 }

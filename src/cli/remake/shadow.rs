@@ -2,27 +2,33 @@
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use serde::Serialize;
 use sortie_bundle::Bundle;
 use sortie_core::choose::masked_argmax;
 use sortie_core::wire::{ActionMsg, AllocMsg};
 use sortie_core::{NO_ACTION, Policy};
+use sortie_ipc::{Heard, ProcessInfo};
 use sortie_learn::draft::DecoratedPolicy;
 
 use super::Deployed;
 use super::comparison::tasks;
-use super::contents::{Contents, Shown};
+use super::contents::{Contents, Shown, Told};
 use super::roles::{Judge, Made, Roles};
 use crate::allocator::ProposalArguments;
 use crate::failure::Failure;
+use crate::listener::Listener;
 use crate::output::{Common, Table, plural, print_json, say};
+
+/// The longest sleep between two looks at a running team.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// How often a bundle would have done what a recorded team did.
 #[derive(Serialize)]
-pub(crate) struct Shadowed<'a> {
-    record: &'a Path,
+pub(crate) struct Shadowed {
+    record: PathBuf,
     frames: u64,
     #[serde(flatten)]
     made: Made,
@@ -108,6 +114,8 @@ struct Opinion {
 struct Shadow<'a> {
     /// Those of the decisions that are judged next.
     opinions: &'a RefCell<Vec<Opinion>>,
+    /// How many actions were the same so far, and of how many.
+    counts: &'a RefCell<(u64, u64)>,
     decided: Vec<Decided>,
     allocations: Agreement,
 }
@@ -132,6 +140,9 @@ impl Judge for Shadow<'_> {
         let others =
             others.filter(|(at, (_, is_open))| **is_open && *at != usize::from(made.action));
         let second = others.map(|(_, (utility, _))| *utility).reduce(f32::max);
+        let mut counts = self.counts.borrow_mut();
+        counts.0 += u64::from(recorded.action == made.action);
+        counts.1 += 1;
         self.decided.push(Decided {
             agent: recorded.agent,
             task: recorded.task,
@@ -153,25 +164,64 @@ impl Judge for Shadow<'_> {
 }
 
 /// Has `bundle` decide in every state of a record, with what the recorded team was allocated.
-pub(crate) fn shadow<'a>(
-    record: &'a Path,
+pub(crate) fn shadow(
+    record: &Path,
     bundle: &Bundle,
     draws: (u64, ProposalArguments),
-) -> Result<Shadowed<'a>, Failure> {
+) -> Result<Shadowed, Failure> {
     let mut contents = Contents::read(record)?;
     // Whatever decided then, this bundle's plan decides now.
     contents.engines.clear();
-    let mut deployed = Deployed::open(&contents, bundle, draws)?;
+    let frames = contents.frames;
+    decide_beside(&contents, bundle, draws, |take, _| contents.replay(take).map(|()| frames))
+}
+
+/// Has `bundle` decide beside a running team, in every state that it sees and with what its agents are allocated, for as long
+/// as `goes_on` says: it is told how many actions were the same, and of how many.
+pub(crate) fn shadow_team(
+    listener: &mut Listener,
+    processes: &[ProcessInfo],
+    bundle: &Bundle,
+    draws: (u64, ProposalArguments),
+    goes_on: &mut dyn FnMut(u64, u64) -> bool,
+) -> Result<Shadowed, Failure> {
+    let contents = Contents::of_team(listener.facts(), processes)?;
+    decide_beside(&contents, bundle, draws, |take, counts| {
+        let mut frames = 0;
+        loop {
+            listener.look(&mut |heard, _| {
+                frames += u64::from(matches!(heard, Heard::Frame(..)));
+                Told::of(heard).into_iter().for_each(&mut *take);
+            })?;
+            let (same, of) = *counts.borrow();
+            if !goes_on(same, of) || listener.is_alone() {
+                return Ok(frames);
+            }
+            listener.wait(LOOK_EVERY);
+        }
+    })
+}
+
+/// Has `bundle` decide what `tell` shows, and returns how many frames there were.
+fn decide_beside(
+    contents: &Contents,
+    bundle: &Bundle,
+    draws: (u64, ProposalArguments),
+    tell: impl FnOnce(&mut dyn FnMut(Told), &RefCell<(u64, u64)>) -> Result<u64, Failure>,
+) -> Result<Shadowed, Failure> {
+    let mut deployed = Deployed::open(contents, bundle, draws)?;
+    let counts = RefCell::new((0, 0));
     let opinions = RefCell::new(Vec::new());
     let mut team = deployed.team()?;
     team.policies = team.policies.into_iter().map(|policy| aloud(policy, &opinions)).collect();
     let (decided, allocations) = (Vec::new(), Agreement::default());
-    let mut shadow = Shadow { opinions: &opinions, decided, allocations };
-    let mut roles = Roles::new(&contents, bundle, team, &mut shadow);
-    contents.replay(&mut |message| roles.hear(message))?;
+    let mut shadow = Shadow { opinions: &opinions, counts: &counts, decided, allocations };
+    let mut roles = Roles::new(contents, bundle, team, &mut shadow);
+    let frames = tell(&mut |message| roles.hear(message), &counts)?;
     let made = roles.end();
     let Shadow { decided, allocations, .. } = shadow;
-    Ok(Shadowed::new((record, contents.frames, made), &decided, allocations, bundle))
+    let of = contents.path().to_owned();
+    Ok(Shadowed::new((of, frames, made), &decided, allocations, bundle))
 }
 
 /// A policy whose utilities are noted.
@@ -190,9 +240,9 @@ fn aloud<'a>(
     }))
 }
 
-impl<'a> Shadowed<'a> {
+impl Shadowed {
     fn new(
-        (record, frames, made): (&'a Path, u64, Made),
+        (record, frames, made): (PathBuf, u64, Made),
         decided: &[Decided],
         allocations: Agreement,
         bundle: &Bundle,
@@ -223,10 +273,21 @@ impl<'a> Shadowed<'a> {
         }
     }
 
+    /// The share of actions that were otherwise.
+    pub(crate) fn disagreement(&self) -> f64 {
+        let Agreement { same, of } = self.agreement;
+        (of - same) as f64 / of.max(1) as f64
+    }
+
     pub(crate) fn print(&self, common: Common) {
         if common.json {
             return print_json(self);
         }
+        self.print_table();
+    }
+
+    /// For people.
+    pub(crate) fn print_table(&self) {
         let mut table = Table::new(&["", "decisions", "the same"]);
         let mut row = |what: String, agreement: Agreement| {
             table.row([what].into_iter().chain(agreement.cells()));
@@ -306,7 +367,7 @@ mod tests {
         ];
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/save-the-city");
         let bundle = open_bundle(&folder).expect("the shipped bundle");
-        let all = (Path::new("run.mcap"), 4, Made::default());
+        let all = (PathBuf::from("run.mcap"), 4, Made::default());
         let told = Shadowed::new(all, &decided, Agreement::default(), &bundle);
         assert_eq!(told.agreement, Agreement { same: 2, of: 4 });
         assert_eq!(told.where_it_counts, Agreement { same: 2, of: 2 });

@@ -8,18 +8,19 @@ use sortie_core::Allocator;
 use sortie_core::roles::Counters;
 use sortie_core::wire::ControlStatus;
 use sortie_ipc::{
-    AllocatorProcess, Domain, DomainContract, Ended, LoadedModel, ProcessSettings, Registry,
-    RunnerProcess, Stop,
+    AllocatorProcess, Domain, DomainContract, Loaded, LoadedModel, ProcessSettings, Registry,
+    RunnerProcess, Stop, SwappedPolicy,
 };
 
 use super::team::Scheduling;
 use super::world::{Playing, WorldOfTeam, play};
 use crate::allocation::{Allocation, AllocatorChoice};
 use crate::allocator::{DeployedAllocator, ProposalArguments};
-use crate::deployment::{domain_contract, model_id};
+use crate::deployment::{beside, bundle_name, domain_contract, is_bundle_name, model_id};
 use crate::environment::entry_of;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::tell;
+use crate::owned;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::stop_on_signals;
 use crate::trust::TrustArguments;
@@ -81,8 +82,9 @@ enum Role {
 
 pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     let stop = stop_on_signals()?;
-    let bundle = arguments.trust.open_bundle(&arguments.bundle)?;
     let domain = Domain::new(&arguments.domain)?;
+    let folder = in_use(&domain, &arguments.bundle, arguments.mix_teams)?;
+    let bundle = arguments.trust.open_bundle(&folder)?;
     // A runner acts on whatever allocation comes.
     let allocation = match arguments.role {
         Role::Runner => None,
@@ -119,6 +121,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
                 quiet,
                 private,
                 fill,
+                trust: &arguments.trust,
                 linger,
                 real_time,
             };
@@ -131,7 +134,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     }
 }
 
-/// A runner: with the bundle that it was started with, then with those that it is told to load.
+/// A runner: with the bundle that it was started with, then with those that its team changes to.
 fn act(
     arguments: &ProcessArguments,
     (bundle, contract): (&Bundle, &DomainContract),
@@ -141,20 +144,12 @@ fn act(
 ) -> Outcome {
     let backend = arguments.backend;
     let mut memory = DeployedPolicy::open(bundle, backend)?;
-    let mut bundles =
-        Bundles::beside(arguments, |bundle: &Bundle| DeployedPolicy::open(bundle, backend));
+    let registry = policies(bundle.folder(), &arguments.trust, backend)?;
     let mut rule = fallback(bundle)?;
     let mut process = RunnerProcess::join(domain, contract, &arguments.agents, settings, stop)?;
-    let ended = loop {
-        let mut policy = memory.team()?;
-        let rule = rule.as_mut().map(|rule| rule as &mut dyn Allocator);
-        let ended = process.act(policy.as_mut(), rule, Some(&mut bundles), stop);
-        drop(policy);
-        match (ended, bundles.take()) {
-            (Ok(Ended::ForNextModel), Some(loaded)) => memory = loaded,
-            (ended, _) => break ended,
-        }
-    };
+    let mut policy = memory.team()?;
+    let rule = rule.as_mut().map(|rule| rule as &mut dyn Allocator);
+    let ended = process.act(policy.as_mut(), rule, Some(registry), stop);
     let left = process.leave();
     outcome(ended.and(left))
 }
@@ -168,7 +163,7 @@ pub(crate) fn fallback(bundle: &Bundle) -> Result<Option<RuleAllocator>, Failure
     rule_allocator(entry_of(bundle)?, rule, 0).map(Some)
 }
 
-/// An allocator: with the bundle that it was started with, then with those that it is told to load.
+/// An allocator: with the bundle that it was started with, then with those that its team changes to.
 fn allocate(
     arguments: &ProcessArguments,
     allocation: Option<AllocatorChoice>,
@@ -183,20 +178,16 @@ fn allocate(
         let message = format!("`{name}` knows of no subtasks: there is nothing to allocate");
         return Err(Failure::new(Exit::Usage, message));
     };
-    let open =
-        |bundle: &Bundle| DeployedAllocator::open(bundle, allocation, backend, seed, proposals);
-    let mut memory = open(bundle)?;
-    let mut bundles = Bundles::beside(arguments, open);
-    let mut process = AllocatorProcess::join(domain, contract, settings, stop)?;
-    let ended = loop {
-        let mut allocator = memory.allocator()?;
-        let ended = process.allocate(allocator.as_mut(), Some(&mut bundles), stop);
-        drop(allocator);
-        match (ended, bundles.take()) {
-            (Ok(Ended::ForNextModel), Some(loaded)) => memory = loaded,
-            (ended, _) => break ended,
-        }
+    let open = move |bundle: &Bundle| {
+        DeployedAllocator::open(bundle, allocation, backend, seed, proposals)
     };
+    let mut memory = open(bundle)?;
+    let registry = registry(bundle.folder(), &arguments.trust, move |bundle| {
+        open(bundle).and_then(owned::allocator)
+    })?;
+    let mut process = AllocatorProcess::join(domain, contract, settings, stop)?;
+    let mut allocator = memory.allocator()?;
+    let ended = process.allocate(allocator.as_mut(), Some(registry), stop);
     let left = process.leave();
     outcome(ended.and(left))
 }
@@ -210,69 +201,51 @@ fn outcome(ended: Result<Counters, sortie_ipc::Error>) -> Outcome {
     }
 }
 
-/// Most bytes of a key on the wire.
-const KEY_BYTES: usize = 32;
-
-/// Whether a text names a bundle of a registry: a folder, never a path.
-pub(crate) fn is_key(text: &str) -> bool {
-    let is_letter = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
-    (1..=KEY_BYTES).contains(&text.len()) && !text.starts_with('.') && text.bytes().all(is_letter)
+/// The bundle that a team decides by: the one named, or the one beside it that a running team has changed to.
+fn in_use(domain: &Domain, named: &Path, mixes_teams: bool) -> Result<PathBuf, Failure> {
+    let facts = if mixes_teams { None } else { domain.facts()? };
+    let name = facts.map(|facts| facts.bundles().in_use().name.clone());
+    let changed =
+        name.filter(|name| is_bundle_name(name) && bundle_name(named).as_ref() != Some(name));
+    Ok(changed.map_or_else(|| named.to_path_buf(), |name| beside(named, &name)))
 }
 
-/// The folder of bundles, and what one of them was loaded to.
-struct Bundles<'a, M, L> {
-    folder: PathBuf,
-    trust: &'a TrustArguments,
-    load: L,
-    loaded: Option<M>,
+/// The policies of bundles beside that of a process.
+pub(super) fn policies(
+    folder: &Path,
+    trust: &TrustArguments,
+    backend: Backend,
+) -> Result<Registry<SwappedPolicy>, Failure> {
+    registry(folder, trust, move |bundle| {
+        DeployedPolicy::open(bundle, backend).and_then(owned::policy)
+    })
 }
 
-impl<'a, M, L: FnMut(&Bundle) -> Result<M, Failure>> Bundles<'a, M, L> {
-    /// The bundles beside that of a process, which take the same signatures; `load` makes of one what it works with.
-    fn beside(process: &'a ProcessArguments, load: L) -> Self {
-        let parent = process.bundle.parent().filter(|parent| !parent.as_os_str().is_empty());
-        let folder = parent.unwrap_or(Path::new(".")).to_path_buf();
-        Self { folder, trust: &process.trust, load, loaded: None }
-    }
-
-    /// What was loaded last, once.
-    fn take(&mut self) -> Option<M> {
-        self.loaded.take()
-    }
-}
-
-impl<M, L: FnMut(&Bundle) -> Result<M, Failure>> Registry for Bundles<'_, M, L> {
-    fn load(&mut self, key: &str) -> Result<LoadedModel, ControlStatus> {
+/// The bundles beside that of a process, which take the same signatures; `load` makes of one what it works with.
+fn registry<M: Send + 'static>(
+    folder: &Path,
+    trust: &TrustArguments,
+    load: impl Fn(&Bundle) -> Result<M, Failure> + Send + 'static,
+) -> Result<Registry<M>, Failure> {
+    let (folder, trust) = (folder.to_path_buf(), trust.clone());
+    let load = move |name: &str| -> Loaded<M> {
         let refused = |failure: Failure| {
-            tell!("warning: `{key}` is not loaded: {}", failure.message);
+            tell!("warning: `{name}` is not loaded: {}", failure.message);
             ControlStatus::BadArgument
         };
-        if !is_key(key) {
+        if !is_bundle_name(name) {
             return Err(ControlStatus::BadArgument);
         }
-        let bundle = self.trust.open_bundle(&self.folder.join(key)).map_err(refused)?;
-        self.loaded = Some((self.load)(&bundle).map_err(refused)?);
+        let bundle = trust.open_bundle(&beside(&folder, name)).map_err(refused)?;
+        let model = load(&bundle).map_err(refused)?;
         let limits = &bundle.manifest().limits;
         Ok(LoadedModel {
             contract: bundle.contract().hash(),
             id: model_id(&bundle),
             entities_max: limits.n_max.into(),
             tasks_max: limits.t_max.into(),
+            model,
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_key_is_a_name_and_no_path() {
-        for key in ["a-team", "v1.2_b", &"x".repeat(32)] {
-            assert!(is_key(key), "{key}");
-        }
-        for path in ["", ".", "..", "a/b", "/a", "..\\a", "a b", &"x".repeat(33)] {
-            assert!(!is_key(path), "{path}");
-        }
-    }
+    };
+    Ok(Registry::start(load)?)
 }

@@ -13,6 +13,7 @@ use sortie_ipc::{
 };
 
 use super::onlooker::{Display, Ledger, Onlooker};
+use super::process::policies;
 use super::report::{Manner, Setup, report};
 use super::team::Absentees;
 use super::{positive_seconds, rate};
@@ -21,6 +22,7 @@ use crate::deployment::model_id;
 use crate::environment::{ScenarioSetName, check_fits};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::{Backend, DeployedPolicy};
+use crate::trust::TrustArguments;
 use crate::worlds::world::EnvironmentWorld;
 
 /// What a supervised world plays.
@@ -83,6 +85,7 @@ pub(super) struct WorldOfTeam<'a> {
     pub(super) quiet: bool,
     pub(super) private: bool,
     pub(super) fill: bool,
+    pub(super) trust: &'a TrustArguments,
     pub(super) linger: Option<Duration>,
     pub(super) real_time: RealTime,
 }
@@ -155,7 +158,9 @@ fn play_on(
     let ended = if team.fill {
         let mut policy = DeployedPolicy::open(team.bundle, team.backend)?;
         let mut policy = policy.team()?;
-        let fill = Fill { policy: policy.as_mut(), model: model_id(team.bundle) };
+        let registry = policies(team.bundle.folder(), team.trust, team.backend)?;
+        let model = model_id(team.bundle);
+        let fill = Fill { policy: policy.as_mut(), model, registry: Some(registry) };
         let filled: (&mut dyn World, _) = (world, fill);
         world_process_with_fill(domain, team.contract, filled, &settings, start, onlooker, stop)
     } else {

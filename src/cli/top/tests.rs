@@ -44,7 +44,7 @@ impl Tale {
     }
 
     /// The next frame, in which these agents exist and these are absent.
-    fn frame(&mut self, agents: &[usize], absent: u64, flags: u32) {
+    fn frame(&mut self, agents: &[usize], absent: u64, flags: u16) {
         self.now_ns += PERIOD_NS;
         self.tick += 1;
         self.seq += 1;

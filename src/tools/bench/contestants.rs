@@ -88,7 +88,7 @@ impl<'b> Contestants<'b> {
     /// Our policy of the default profile.
     pub(super) fn first(&mut self) -> Result<Box<dyn Policy + '_>, Failure> {
         let (_, exact) = self.ours.first_mut().expect("every machine runs the exact profile");
-        exact.team()
+        Ok(exact.team()?)
     }
 }
 

@@ -32,7 +32,7 @@ impl<'a, N> From<(&'a PolicyInput, &'a [N])> for Named<'a, N> {
 }
 
 /// What runs a file.
-pub(crate) trait Engine: Debug {
+pub(crate) trait Engine: Debug + Send {
     /// What it counts in.
     type Number: Number;
 

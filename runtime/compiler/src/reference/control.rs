@@ -1,6 +1,6 @@
 //! Nodes that hold graphs: branches and loops.
 
-use std::rc::Rc;
+use std::sync::Arc;
 
 use tract_onnx::pb::{GraphProto, NodeProto};
 
@@ -108,7 +108,7 @@ impl Run<'_> {
     ) -> Result<Vec<Tensor>, String> {
         let mut values = stored(graph, around)?;
         let names = graph.input.iter().map(|input| input.name.clone());
-        values.extend(names.zip(inputs.into_iter().map(Rc::new)));
+        values.extend(names.zip(inputs.into_iter().map(Arc::new)));
         self.nodes(&graph.node, &mut values)?;
         let output = |name: &String| {
             let value = values.get(name).ok_or_else(|| format!("no node computes `{name}`"))?;

@@ -17,7 +17,7 @@ mod tensor;
 mod truth;
 
 use std::collections::HashMap;
-use std::rc::Rc;
+use std::sync::Arc;
 
 use tract_onnx::pb::{AttributeProto, GraphProto, ModelProto, NodeProto};
 
@@ -27,7 +27,7 @@ use tensor::{Failure, count};
 pub(crate) use truth::{RUNS, Runs, truth};
 
 /// Values by name.
-type Values = HashMap<String, Rc<Tensor>>;
+type Values = HashMap<String, Arc<Tensor>>;
 
 /// The version of the operators of a file that does not say which it uses.
 const USUAL_VERSION: i64 = 17;
@@ -70,7 +70,7 @@ impl Reference {
         noise: Option<&mut Noise>,
     ) -> Result<Vec<Tensor>, String> {
         let mut values = self.stored.clone();
-        values.extend(inputs.into_iter().map(|(name, tensor)| (name, Rc::new(tensor))));
+        values.extend(inputs.into_iter().map(|(name, tensor)| (name, Arc::new(tensor))));
         let mut run = Run { version: self.version, noise };
         run.nodes(&self.graph.node, &mut values)?;
         let output = |name: &String| {
@@ -86,7 +86,7 @@ fn stored(graph: &GraphProto, around: &Values) -> Result<Values, String> {
     let mut values = around.clone();
     for proto in &graph.initializer {
         let tensor = Tensor::read(proto).map_err(|what| format!("`{}` {what}", proto.name))?;
-        values.insert(proto.name.clone(), Rc::new(tensor));
+        values.insert(proto.name.clone(), Arc::new(tensor));
     }
     Ok(values)
 }
@@ -116,7 +116,7 @@ impl Run<'_> {
                 }
             };
             for (name, tensor) in node.output.iter().zip(found) {
-                values.insert(name.clone(), Rc::new(tensor));
+                values.insert(name.clone(), Arc::new(tensor));
             }
         }
         Ok(())
@@ -128,7 +128,7 @@ pub(crate) struct Call<'a> {
     node: &'a NodeProto,
     /// The version of ONNX's operators.
     version: i64,
-    inputs: Vec<Option<Rc<Tensor>>>,
+    inputs: Vec<Option<Arc<Tensor>>>,
 }
 
 impl<'a> Call<'a> {
@@ -145,7 +145,7 @@ impl<'a> Call<'a> {
     }
 
     /// The same node with other inputs.
-    fn with(&self, inputs: Vec<Option<Rc<Tensor>>>) -> Self {
+    fn with(&self, inputs: Vec<Option<Arc<Tensor>>>) -> Self {
         Self { node: self.node, version: self.version, inputs }
     }
 

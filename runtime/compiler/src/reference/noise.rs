@@ -5,7 +5,7 @@
 //! bound for any operator.
 
 use std::collections::HashMap;
-use std::rc::Rc;
+use std::sync::Arc;
 
 use super::Call;
 use super::tensor::{Failure, Numbers, Tensor};
@@ -83,7 +83,7 @@ impl Noise {
             Scatter::Inside => {
                 let inputs = call.inputs.iter().enumerate();
                 let inputs = inputs.map(|(index, input)| {
-                    input.as_ref().map(|input| Rc::new(self.input(call, index, input)))
+                    input.as_ref().map(|input| Arc::new(self.input(call, index, input)))
                 });
                 let shaken = call.with(inputs.collect()).evaluate()?;
                 self.around(shaken, |_, y| 2.0 * y.abs())
@@ -150,11 +150,11 @@ fn mixed(number: u64) -> u64 {
     bits ^ (bits >> 31)
 }
 
-fn absolute(input: &Option<Rc<Tensor>>) -> Option<Rc<Tensor>> {
+fn absolute(input: &Option<Arc<Tensor>>) -> Option<Arc<Tensor>> {
     let input = input.as_ref()?;
-    let Numbers::Real(numbers) = &input.numbers else { return Some(Rc::clone(input)) };
+    let Numbers::Real(numbers) = &input.numbers else { return Some(Arc::clone(input)) };
     let numbers = numbers.iter().map(|x| x.abs()).collect();
-    Some(Rc::new(Tensor::real(input.shape.clone(), numbers)))
+    Some(Arc::new(Tensor::real(input.shape.clone(), numbers)))
 }
 
 fn scatter(operator: &str) -> Scatter {

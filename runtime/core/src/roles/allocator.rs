@@ -76,6 +76,8 @@ pub struct AllocatorRole {
     is_leadership_news: bool,
     seen_tick: u64,
     done_decision: u64,
+    /// The frame kept by the link has just come.
+    is_new: bool,
     allocations: u64,
     presence: Presence,
     counters: Counters,
@@ -90,6 +92,7 @@ impl AllocatorRole {
             is_leadership_news: false,
             seen_tick: 0,
             done_decision: 0,
+            is_new: false,
             allocations: 0,
             presence: Presence::default(),
             counters: Counters::default(),
@@ -174,7 +177,35 @@ impl AllocatorRole {
         link: &mut impl AllocLink,
         allocator: &mut A,
     ) -> Result<Poll, AllocatorError> {
-        self.poll_rules(link, &mut |view, task| allocate(allocator, view, task).map(|()| 0))
+        self.receive(link)?;
+        self.answer(link, allocator)
+    }
+
+    /// The first half of [`Self::poll`]: takes in the newest frame, and answers nothing.
+    ///
+    /// # Errors
+    /// A topic failed.
+    pub fn receive(&mut self, link: &mut impl AllocLink) -> Result<(), LinkError> {
+        self.is_new |= link.receive_frames(&mut |frame| self.accepts(frame))?;
+        Ok(())
+    }
+
+    /// The generation of the bundle that the newest frame asks for, once one has been received.
+    pub fn asked_generation(&self, link: &impl AllocLink) -> Option<u16> {
+        link.frame().map(|frame| frame.header.generation)
+    }
+
+    /// The second half of [`Self::poll`], which answers what [`Self::receive`] took in: for callers that change allocators in
+    /// between, by [`Self::asked_generation`].
+    ///
+    /// # Errors
+    /// See [`AllocatorError`].
+    pub fn answer<A: Allocator + ?Sized>(
+        &mut self,
+        link: &mut impl AllocLink,
+        allocator: &mut A,
+    ) -> Result<Poll, AllocatorError> {
+        self.answer_by(link, &mut |view, task| allocate(allocator, view, task).map(|()| 0))
     }
 
     /// As [`Self::poll`]; where `allocator` refuses a state, `heuristic` allocates, and the message says so.
@@ -187,18 +218,19 @@ impl AllocatorRole {
         allocator: &mut A,
         heuristic: &mut H,
     ) -> Result<Poll, AllocatorError> {
-        self.poll_rules(link, &mut |view, task| match allocate(allocator, view, task) {
+        self.receive(link)?;
+        self.answer_by(link, &mut |view, task| match allocate(allocator, view, task) {
             Ok(()) => Ok(0),
             Err(_) => allocate(heuristic, view, task).map(|()| AllocMsg::HEURISTIC),
         })
     }
 
-    fn poll_rules(
+    fn answer_by(
         &mut self,
         link: &mut impl AllocLink,
         rules: &mut Rules<'_>,
     ) -> Result<Poll, AllocatorError> {
-        let accepted = link.receive_frames(&mut |frame| self.accepts(frame))?;
+        let accepted = core::mem::take(&mut self.is_new);
         let is_first = matches!(self.leadership, Leadership::Leads { epoch: 0, .. });
         let kept = if accepted || is_first { link.frame() } else { None };
         let Some(view) = kept.and_then(|frame| self.view(frame).ok()) else {

@@ -140,7 +140,8 @@ impl RunnerRole {
         link: &mut impl AgentLink,
         policy: &mut P,
     ) -> Result<Poll, LinkError> {
-        self.poll_frame(link, policy, None)
+        self.receive(link)?;
+        self.answer(link, policy, None)
     }
 
     /// As [`Self::poll`]; without a usable allocation, agents act on that of `heuristic`, which has to give
@@ -154,16 +155,27 @@ impl RunnerRole {
         policy: &mut P,
         heuristic: &mut dyn Allocator,
     ) -> Result<Poll, LinkError> {
-        self.poll_frame(link, policy, Some(heuristic))
+        self.receive(link)?;
+        self.answer(link, policy, Some(heuristic))
     }
 
-    fn poll_frame<P: Policy + ?Sized>(
+    /// The generation of the bundle that the frame to be answered asks for, once it has been received.
+    pub fn asked_generation(&self, link: &impl AgentLink) -> Option<u16> {
+        let frame = link.frame().filter(|_| self.pending)?;
+        Some(frame.header.generation)
+    }
+
+    /// The second half of [`Self::poll`], which answers what [`Self::receive`] took in: for callers that change policies in
+    /// between, by [`Self::asked_generation`].
+    ///
+    /// # Errors
+    /// A topic failed.
+    pub fn answer<P: Policy + ?Sized>(
         &mut self,
         link: &mut impl AgentLink,
         policy: &mut P,
         heuristic: Option<&mut dyn Allocator>,
     ) -> Result<Poll, LinkError> {
-        self.receive(link)?;
         let kept = if self.pending { link.frame() } else { None };
         let format = &self.options.format;
         let view = kept.and_then(|Frame { header, payload }| {
@@ -217,7 +229,11 @@ impl RunnerRole {
         Ok(IDLE)
     }
 
-    fn receive(&mut self, link: &mut impl AgentLink) -> Result<(), LinkError> {
+    /// The first half of [`Self::poll`]: takes in what has arrived, and answers nothing.
+    ///
+    /// # Errors
+    /// A topic failed.
+    pub fn receive(&mut self, link: &mut impl AgentLink) -> Result<(), LinkError> {
         if link.receive_frames(&mut |frame| self.accepts(frame))? {
             self.pending = true;
             self.is_noted = false;

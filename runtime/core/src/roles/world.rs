@@ -98,6 +98,8 @@ pub struct WorldRole {
     episodes_done: u32,
     /// The next frame asks for an allocation whatever its tick.
     allocate_next: bool,
+    /// Generation of the bundle that all decide by.
+    generation: u16,
     decision_tick: u64,
     allocation: NewestAllocation,
     allocations_missed: u32,
@@ -145,6 +147,7 @@ impl WorldRole {
             step: 0,
             episodes_done: 0,
             allocate_next: true,
+            generation: 0,
             decision_tick: 0,
             allocation: NewestAllocation::default(),
             allocations_missed: 0,

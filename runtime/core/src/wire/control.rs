@@ -19,12 +19,15 @@ pub enum Command {
     /// World: end, and the team with it. Server of a policy: end. Runner, allocator: end, where the request names its
     /// process, or means [`ControlReq::EVERYBODY`].
     ShutDown = 5,
-    /// Runner, allocator: load a model anew; the text is a key of the process's own registry.
-    ReloadModel = 6,
+    /// Runner, allocator: open the bundle of this name, a key of the process's own registry, beside the one in use, which
+    /// stays as it is. World: note it as the one that may come next. `arg64` is the generation in use.
+    PrepareBundle = 6,
     /// Leading allocator: let another one lead.
     StepDown = 7,
     /// Set the level of the process's log to `arg64`: 0 trace, 1 debug, 2 info, 3 warn, 4 error, 5 fatal.
     SetLogLevel = 8,
+    /// World: change to the bundle that was prepared, as the [`SwapOrder`](super::SwapOrder) in `arg64` says.
+    SwapBundle = 9,
 }
 
 impl Command {
@@ -36,9 +39,10 @@ impl Command {
             Self::Resume,
             Self::ResetEpisode,
             Self::ShutDown,
-            Self::ReloadModel,
+            Self::PrepareBundle,
             Self::StepDown,
             Self::SetLogLevel,
+            Self::SwapBundle,
         ];
         all.into_iter().find(|command| *command as u16 == number)
     }
@@ -58,12 +62,21 @@ pub enum ControlStatus {
     Foreign = 3,
     /// An argument names what does not exist.
     BadArgument = 4,
+    /// The team has changed its bundle meanwhile: the order is of a generation that is over.
+    Outdated = 5,
 }
 
 impl ControlStatus {
     /// The status of this number, if there is one.
     pub fn from_number(number: i32) -> Option<Self> {
-        let all = [Self::Done, Self::NotMine, Self::NotSupported, Self::Foreign, Self::BadArgument];
+        let all = [
+            Self::Done,
+            Self::NotMine,
+            Self::NotSupported,
+            Self::Foreign,
+            Self::BadArgument,
+            Self::Outdated,
+        ];
         all.into_iter().find(|status| *status as i32 == number)
     }
 }

@@ -29,7 +29,9 @@ pub struct FrameHeader {
     /// Bytes of the payload.
     pub len: u32,
     /// A set of the flags named below.
-    pub flags: u32,
+    pub flags: u16,
+    /// How often the team has changed its bundle: all who answer this frame decide by that generation's.
+    pub generation: u16,
     /// Leadership term of the world.
     pub world_term: u32,
     /// Episode, its low 32 bits.
@@ -38,7 +40,7 @@ pub struct FrameHeader {
 
 assert_layout!(FrameHeader, 64, {
     magic: 0, abi: 4, kind: 6, schema: 8, seq: 16, tick: 24, t_ns: 32, deadline_ns: 40,
-    len: 48, flags: 52, world_term: 56, episode: 60,
+    len: 48, flags: 52, generation: 54, world_term: 56, episode: 60,
 });
 
 impl FrameHeader {
@@ -46,28 +48,28 @@ impl FrameHeader {
     pub const MAGIC: u32 = 0x5452_4F53;
 
     /// First frame of an episode: recurrent state, last actions and subtasks start anew.
-    pub const EPISODE_START: u32 = 1;
+    pub const EPISODE_START: u16 = 1;
     /// The allocator is asked for a new allocation of this frame.
-    pub const REALLOC: u32 = 2;
+    pub const REALLOC: u16 = 2;
     /// Last observation of an episode; asks for no action.
-    pub const EPISODE_END: u32 = 4;
+    pub const EPISODE_END: u16 = 4;
     /// The world stands still; asks for no action.
-    pub const PAUSED: u32 = 8;
+    pub const PAUSED: u16 = 8;
     /// A recorded frame that is played back.
-    pub const REPLAY: u32 = 16;
+    pub const REPLAY: u16 = 16;
     /// The world ends; runners and the allocator end with it.
-    pub const SHUTDOWN: u32 = 32;
+    pub const SHUTDOWN: u16 = 32;
     /// Agents act without waiting for this frame's allocation.
-    pub const PIPELINED_ALLOC: u32 = 64;
+    pub const PIPELINED_ALLOC: u16 = 64;
 
     /// Whether all flags of `flags` are set.
-    pub fn has(&self, flags: u32) -> bool {
+    pub fn has(&self, flags: u16) -> bool {
         self.flags & flags == flags
     }
 
     /// Whether the frame asks for actions: an observation that neither ends nor pauses.
     pub fn asks_for_actions(&self) -> bool {
-        const SILENT: u32 = FrameHeader::EPISODE_END | FrameHeader::PAUSED | FrameHeader::SHUTDOWN;
+        const SILENT: u16 = FrameHeader::EPISODE_END | FrameHeader::PAUSED | FrameHeader::SHUTDOWN;
         let is_observation =
             self.kind == FrameKind::World as u16 || self.kind == FrameKind::Private as u16;
         is_observation && self.flags & SILENT == 0

@@ -1,4 +1,4 @@
-//! What the processes of a domain say to each other, byte by byte (ABI 2).
+//! What the processes of a domain say to each other, byte by byte (ABI 3).
 //!
 //! Little endian, no implicit padding, every bit pattern valid. A message type that changes
 //! gets a new ABI number: the transport compares only names, sizes and alignments.
@@ -13,6 +13,7 @@ mod frame_view;
 mod private_frame;
 mod served;
 mod status;
+mod swap;
 #[cfg(test)]
 mod tests;
 
@@ -30,12 +31,13 @@ pub use served::{
     ServedFormat,
 };
 pub use status::{Role, StatMsg};
+pub use swap::{SwapMoment, SwapOrder, TurnBack};
 
 #[cfg(target_endian = "big")]
 compile_error!("the wire format is little endian and read in place");
 
 /// Number of this wire format; a message of another one is dropped.
-pub const ABI: u16 = 2;
+pub const ABI: u16 = 3;
 
 /// Asserts at compile time that a message has the stated size and field offsets, and no field
 /// beyond them.

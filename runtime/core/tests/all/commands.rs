@@ -142,7 +142,7 @@ impl Stage {
     fn seat(&mut self, role: Role, pid: u32, flags: u32) {
         let status = StatMsg {
             schema: SCHEMA,
-            abi: 2,
+            abi: 3,
             role: role as u8,
             pid,
             agents: 1,
@@ -161,7 +161,7 @@ impl Stage {
             epoch,
             n_agents: 1,
             n_tasks: 1,
-            abi: 2,
+            abi: 3,
             ..AllocMsg::new_zeroed()
         };
         self.team.allocator(&mut self.cursors[2]).send_allocation(&allocation).unwrap();
@@ -214,7 +214,7 @@ impl Stage {
             schema: SCHEMA,
             tick: self.world.tick() & !u64::from(u32::MAX) | tick,
             task: sortie_core::UNASSIGNED,
-            abi: 2,
+            abi: 3,
             runner: RUNNER,
             ..ActionMsg::new_zeroed()
         };

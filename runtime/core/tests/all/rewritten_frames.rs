@@ -94,7 +94,7 @@ impl Scene {
         let format = FrameFormat { schema: 5, layout };
         let header = FrameHeader {
             magic: FrameHeader::MAGIC,
-            abi: 2,
+            abi: 3,
             kind: layout.kind() as u16,
             schema: format.schema,
             seq: 1,
@@ -103,6 +103,7 @@ impl Scene {
             deadline_ns: 9_000,
             len: layout.payload_bytes() as u32,
             flags: 0,
+            generation: 0,
             world_term: 7,
             episode: 0,
         };
@@ -121,7 +122,7 @@ impl Scene {
             decide_ns: 0,
             n_agents: SHAPE.agents as u16,
             n_tasks: SHAPE.tasks as u8,
-            abi: 2,
+            abi: 3,
             flags: 0,
             task: [1; 64],
         };

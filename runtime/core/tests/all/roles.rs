@@ -118,11 +118,11 @@ impl Stage {
     }
 
     /// Sends frame `count`, whose allocation is asked for at `decision`.
-    fn send(&mut self, count: u32, decision: u32, flags: u32, patience_ns: u64) {
+    fn send(&mut self, count: u32, decision: u32, flags: u16, patience_ns: u64) {
         let t_ns = self.clock.now_ns();
         let header = FrameHeader {
             magic: FrameHeader::MAGIC,
-            abi: 2,
+            abi: 3,
             kind: FrameKind::World as u16,
             schema: self.format.schema,
             seq: u64::from(count),
@@ -131,6 +131,7 @@ impl Stage {
             deadline_ns: t_ns + patience_ns,
             len: self.format.layout.payload_bytes() as u32,
             flags,
+            generation: 0,
             world_term: 7,
             episode: 0,
         };
@@ -159,7 +160,7 @@ impl Stage {
             decide_ns: 0,
             n_agents: 2,
             n_tasks: 2,
-            abi: 2,
+            abi: 3,
             flags: 0,
             task: [task; 64],
         };
@@ -544,7 +545,7 @@ fn an_answer_that_cannot_be_given_is_not_applied() {
     }
     let tick = TERM + 1;
     let mut sent = |agent, action| {
-        let good = ActionMsg { schema: 5, abi: 2, tick, agent, action, ..ActionMsg::new_zeroed() };
+        let good = ActionMsg { schema: 5, abi: 3, tick, agent, action, ..ActionMsg::new_zeroed() };
         stage.team.agent(&mut stage.runner).send_action(&good).unwrap();
     };
     sent(0, 1);
@@ -576,7 +577,7 @@ fn an_answer_without_a_seat_is_not_applied() {
         let mut send = |agent, runner| {
             let tick = world.tick();
             let answer =
-                ActionMsg { schema: 5, abi: 2, tick, agent, runner, ..ActionMsg::new_zeroed() };
+                ActionMsg { schema: 5, abi: 3, tick, agent, runner, ..ActionMsg::new_zeroed() };
             stage
                 .team
                 .agent(&mut stage.runner)

@@ -11,6 +11,7 @@ use sortie_core::Shape;
 use sortie_core::identity::schema_hash;
 use sortie_core::wire::{ABI, FrameFormat, FrameLayout};
 
+use super::bundles::{TeamBundle, TeamBundles};
 use super::{BellKind, Domain};
 use crate::error::Error;
 use crate::stop::Stop;
@@ -32,6 +33,8 @@ pub struct DomainContract {
     pub safe_action: Option<u16>,
     /// First 16 bytes of the id of the team's bundle.
     pub model: [u8; 16],
+    /// The name of the bundle's folder, by which a team that changes bundles finds it again; `None` where it cannot.
+    pub bundle: Option<String>,
     /// Who allocates; `None` where it does not matter to this process.
     pub allocation: Option<String>,
     /// Whether a team of another bundle, or one that allocates otherwise, is joined as well.
@@ -62,9 +65,8 @@ pub struct DomainFacts {
     period_ns: u64,
     /// Every agent gets its own frame, with what it sees.
     private: bool,
-    /// The id of the team's bundle, hexadecimal.
-    model: String,
     allocation: Option<String>,
+    bundles: TeamBundles,
     contract: toml::Table,
 }
 
@@ -83,8 +85,11 @@ impl DomainFacts {
             bell: BellKind::default(),
             period_ns: 0,
             private: false,
-            model: contract.model_name(),
             allocation: contract.allocation.clone(),
+            bundles: TeamBundles::new(TeamBundle {
+                name: contract.bundle.clone().unwrap_or_default(),
+                model: contract.model_name(),
+            }),
             contract: contract.fields.clone(),
         }
     }
@@ -125,9 +130,19 @@ impl DomainFacts {
         self.period_ns
     }
 
-    /// The first 16 bytes of the id of the team's bundle, hexadecimal.
+    /// The first 16 bytes of the id of the bundle that the team decides by, hexadecimal.
     pub fn model(&self) -> &str {
-        &self.model
+        &self.bundles.in_use().model
+    }
+
+    /// The bundle that the team decides by, and the one that it may change to.
+    pub fn bundles(&self) -> &TeamBundles {
+        &self.bundles
+    }
+
+    /// The same, to change them.
+    pub(crate) fn bundles_mut(&mut self) -> &mut TeamBundles {
+        &mut self.bundles
     }
 
     /// All fields of the contract by name.
@@ -219,9 +234,9 @@ impl DomainFacts {
         if contract.mixes_teams {
             return Ok(());
         }
-        if ours != self.model {
+        if ours != self.model() {
             let short = |model: &str| model.chars().take(8).collect::<String>();
-            return Err(other("bundle", &short(&ours), &short(&self.model)));
+            return Err(other("bundle", &short(&ours), &short(self.model())));
         }
         match (&contract.allocation, &self.allocation) {
             (Some(ours), Some(theirs)) if ours != theirs => {

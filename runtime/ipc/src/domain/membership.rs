@@ -93,6 +93,14 @@ impl Domain {
         Ok(alive.is_some_and(|alive| alive.try_lock().is_err()))
     }
 
+    /// What the domain is, where a process of it lives and a world has stated it. Creates nothing.
+    ///
+    /// # Errors
+    /// A file of the domain cannot be used.
+    pub fn facts(&self) -> Result<Option<DomainFacts>, Error> {
+        if self.is_alive()? { facts::read(self) } else { Ok(None) }
+    }
+
     /// Removes what only processes that live could use.
     fn remove_leftovers(&self) -> Result<(), Error> {
         let root = self.iox_root();
@@ -139,6 +147,19 @@ impl Membership {
             facts::write(&self.domain, facts)?;
         }
         Ok(lock)
+    }
+
+    /// States anew which bundles the team has: the world does, before a frame asks for one.
+    pub(crate) fn state(&self, facts: &DomainFacts) -> Result<(), Error> {
+        facts::write(&self.domain, facts)
+    }
+
+    /// Takes the right to change the team's bundle, which one process has at a time.
+    ///
+    /// # Errors
+    /// Another process changes it.
+    pub(crate) fn lead_swap(&self) -> Result<Lock, Error> {
+        self.take("swap.lock", "the change of its bundle")
     }
 
     /// Checks that a world of `contract` and `ours` fits what the domain is, if a world has stated that already.

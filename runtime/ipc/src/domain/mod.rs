@@ -1,5 +1,6 @@
 //! A domain: one deployment on one host, its paths and its names.
 
+mod bundles;
 mod facts;
 mod membership;
 mod objects;
@@ -13,6 +14,7 @@ use sortie_core::identity::fnv1a;
 
 use crate::error::Error;
 
+pub use bundles::{TeamBundle, TeamBundles};
 pub use facts::{DomainContract, DomainFacts};
 pub(crate) use facts::{nanoseconds, read_file, write_file};
 pub use membership::{Lock, Membership, Starting};

@@ -373,7 +373,7 @@ impl Controlled for ServerPresence {
                 ControlStatus::Done
             }
             // Another policy takes or gives something else: its server is started instead.
-            Command::ReloadModel => ControlStatus::NotSupported,
+            Command::PrepareBundle => ControlStatus::NotSupported,
             _ => ControlStatus::NotMine,
         }
     }

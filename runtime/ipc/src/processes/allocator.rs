@@ -12,11 +12,12 @@ use sortie_core::{Allocator, Shape};
 
 use super::abandoned::Abandoned;
 use super::children::Parent;
+use super::models::{Held, Models, Registry};
 use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive, is_named};
 use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAllocator, LinkSetup};
-use crate::process_info::{Ended, ProcessInfo, Registry, Reloading};
+use crate::process_info::ProcessInfo;
 use crate::stop::{Stop, Wakeable, Waker};
 
 /// How long an allocator that has stepped down leaves the lead to others.
@@ -40,7 +41,10 @@ pub fn allocator_process(
     ended.and(left)
 }
 
-/// An allocator that has joined its domain, and can allocate with one set of rules after the other.
+/// An allocator that a team changes to: whole, and ready to allocate.
+pub type SwappedAllocator = Box<dyn Allocator + Send>;
+
+/// An allocator that has joined its domain.
 pub struct AllocatorProcess {
     link: IoxAllocator,
     role: AllocatorRole,
@@ -49,6 +53,7 @@ pub struct AllocatorProcess {
     identity: Identity,
     schema: u64,
     contract: u64,
+    mixes_teams: bool,
     shape: Shape,
     abandoned: Abandoned,
     /// Dropped last.
@@ -88,7 +93,8 @@ impl AllocatorProcess {
         role.join(&mut link)?;
         let leadership = Leadership::seek(&membership, &link, Duration::ZERO)?;
         settings.real_time.claim()?;
-        let (schema, contract) = (format.schema, contract.hash);
+        let (schema, mixes_teams) = (format.schema, contract.mixes_teams);
+        let contract = contract.hash;
         Ok(Self {
             link,
             role,
@@ -97,39 +103,45 @@ impl AllocatorProcess {
             identity,
             schema,
             contract,
+            mixes_teams,
             shape,
             abandoned: Abandoned::new(settings.world_patience),
             membership,
         })
     }
 
-    /// Allocates with `allocator`, in this thread, until the world ends, or until somebody has it load another model
-    /// from `registry`: then this is to be called again, with that.
+    /// Allocates with `allocator`, in this thread, until the world ends; and with those that the team changes to, which
+    /// `registry` opens.
     ///
     /// # Errors
     /// `allocator` refuses a state, the link failed, or a signal came.
     pub fn allocate(
         &mut self,
         allocator: &mut dyn Allocator,
-        registry: Option<&mut dyn Registry>,
+        registry: Option<Registry<SwappedAllocator>>,
         stop: &Stop,
-    ) -> Result<Ended, Error> {
-        let (schema, contract, shape) = (self.schema, self.contract, self.shape);
+    ) -> Result<(), Error> {
+        let schema = self.schema;
         let Self { link, role, leadership, parent, identity, abandoned, membership, .. } = self;
+        let model = Box::new(allocator) as Box<dyn Allocator + '_>;
+        let own = Held { id: identity.model, model };
+        let domain = (self.contract, self.shape);
+        let mut models = Models::new(own, (registry, |rules| rules), domain, link.waker());
+        if let Some(facts) = membership.facts()? {
+            models.join(facts.bundles(), self.mixes_teams);
+        }
         let mut allocating = Allocating {
             role,
-            allocator,
+            models,
             leadership,
             membership,
             parent,
             abandoned,
             identity,
             schema,
-            reloading: Reloading { registry, contract, shape, is_due: false },
             is_told_to_end: false,
         };
-        drive(&mut allocating, link, stop)?;
-        Ok(allocating.reloading.ended())
+        drive(&mut allocating, link, stop)
     }
 
     /// Says goodbye. Whoever takes over finds this one gone.
@@ -142,16 +154,15 @@ impl AllocatorProcess {
     }
 }
 
-struct Allocating<'a, 'r> {
+struct Allocating<'a, 'm> {
     role: &'a mut AllocatorRole,
-    allocator: &'a mut dyn Allocator,
+    models: Models<Box<dyn Allocator + 'm>, SwappedAllocator>,
     leadership: &'a mut Leadership,
     membership: &'a Membership,
     parent: &'a Option<Parent>,
     abandoned: &'a mut Abandoned,
     identity: &'a mut Identity,
     schema: u64,
-    reloading: Reloading<'r>,
     is_told_to_end: bool,
 }
 
@@ -160,15 +171,25 @@ impl Process for Allocating<'_, '_> {
 
     fn poll(&mut self, link: &mut IoxAllocator) -> Result<Poll, Error> {
         self.leadership.follow(self.role, self.membership, link)?;
-        self.role.poll(link, self.allocator).map_err(into_error)
+        let Self { role, models, identity, .. } = self;
+        role.receive(link)?;
+        if let Some(model) = models.follow(role.asked_generation(link), identity) {
+            role.change_model(model);
+        }
+        match models.in_use() {
+            Some(allocator) => role.answer(link, allocator.as_mut()).map_err(into_error),
+            // Agents go on with the allocation that they have until its bundle has been opened.
+            None => Ok(Poll::Wait { until_ns: u64::MAX }),
+        }
     }
 
     fn leaves_loop(&self) -> bool {
-        self.reloading.is_due || self.is_told_to_end
+        self.is_told_to_end
     }
 
     fn look_around(&mut self) -> Result<(), Error> {
         Parent::check(self.parent)?;
+        self.models.catch_up(self.membership)?;
         self.abandoned.check(self.membership, self.role.tick())
     }
 }
@@ -184,7 +205,8 @@ impl Controlled for Allocating<'_, '_> {
 
     fn info(&self) -> ProcessInfo {
         let info = ProcessInfo::new(Role::Allocator, self.identity);
-        ProcessInfo { term: self.role.term(), ..info }
+        let (generation, candidate) = (self.models.generation(), self.models.candidate());
+        ProcessInfo { term: self.role.term(), generation, candidate, ..info }
     }
 
     fn counters_mut(&mut self) -> &mut Counters {
@@ -201,14 +223,7 @@ impl Controlled for Allocating<'_, '_> {
                 self.role.stand_by();
                 ControlStatus::Done
             }
-            Command::ReloadModel => match self.reloading.load(request.text()) {
-                Ok(model) => {
-                    self.identity.model = model;
-                    self.role.change_model(model);
-                    ControlStatus::Done
-                }
-                Err(status) => status,
-            },
+            Command::PrepareBundle => self.models.prepare(request.text(), request.arg64 as u16),
             _ => ControlStatus::NotMine,
         }
     }

@@ -3,7 +3,9 @@
 mod abandoned;
 mod allocator;
 mod children;
+mod models;
 mod runner;
+mod turning;
 mod world;
 
 use std::fs::File;
@@ -21,10 +23,11 @@ use crate::real_time::RealTime;
 use crate::stop::{Stop, Wakeable};
 
 pub(crate) use allocator::into_error as into_allocator_error;
-pub use allocator::{AllocatorProcess, allocator_process};
+pub use allocator::{AllocatorProcess, SwappedAllocator, allocator_process};
 pub(crate) use children::Caretaker;
 pub use children::{Children, group_agents};
-pub use runner::{RunnerProcess, runner_process, runner_process_with_heuristic};
+pub use models::{Loaded, LoadedModel, Registry};
+pub use runner::{RunnerProcess, SwappedPolicy, runner_process, runner_process_with_heuristic};
 pub(crate) use world::into_error as into_world_error;
 pub use world::{Fill, WorldSettings, world_process, world_process_with_fill};
 
@@ -99,7 +102,7 @@ trait Process: Controlled {
 
     fn poll(&mut self, link: &mut Self::Link) -> Result<Poll, Error>;
 
-    /// Whether it leaves the loop: for good, or to be bound to another model.
+    /// Whether it leaves the loop.
     fn leaves_loop(&self) -> bool {
         false
     }

@@ -1,17 +1,19 @@
 //! A runner process.
 
+use sortie_core::link::AgentLink;
 use sortie_core::roles::{Counters, Identity, Poll, RunnerOptions, RunnerRole};
 use sortie_core::wire::{Command, ControlReq, ControlStatus, Role};
-use sortie_core::{Allocator, Policy, Shape};
+use sortie_core::{Allocator, DecideError, Decision, Observation, Policy, Shape};
 
 use super::abandoned::Abandoned;
 use super::children::Parent;
+use super::models::{Held, Models, Registry};
 use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive, is_named, linger};
 use crate::domain::{Domain, DomainContract, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
-use crate::process_info::{Ended, ProcessInfo, Registry, Reloading};
-use crate::stop::Stop;
+use crate::process_info::ProcessInfo;
+use crate::stop::{Stop, Wakeable};
 
 /// Acts for `agents` of `domain` with `policy`, in this thread, until the world ends. Without a usable
 /// allocation they take the safe action.
@@ -63,7 +65,10 @@ fn act(
     ended.and(left)
 }
 
-/// A runner that has joined its domain, and can act with one policy after the other.
+/// A policy that a team changes to: whole, and ready to decide.
+pub type SwappedPolicy = Box<dyn Policy + Send>;
+
+/// A runner that has joined its domain.
 pub struct RunnerProcess {
     link: IoxAgent,
     role: RunnerRole,
@@ -72,6 +77,7 @@ pub struct RunnerProcess {
     seats: u64,
     schema: u64,
     contract: u64,
+    mixes_teams: bool,
     shape: Shape,
     abandoned: Abandoned,
     _locks: Vec<Lock>,
@@ -125,7 +131,8 @@ impl RunnerProcess {
         });
         role.join(&mut link)?;
         settings.real_time.claim()?;
-        let (schema, contract) = (format.schema, contract.hash);
+        let (schema, mixes_teams) = (format.schema, contract.mixes_teams);
+        let contract = contract.hash;
         Ok(Self {
             link,
             role,
@@ -134,6 +141,7 @@ impl RunnerProcess {
             seats,
             schema,
             contract,
+            mixes_teams,
             shape,
             abandoned: Abandoned::new(settings.world_patience),
             _locks: locks,
@@ -141,8 +149,8 @@ impl RunnerProcess {
         })
     }
 
-    /// Acts with `policy`, in this thread, until the world ends, or until somebody has it load another model from
-    /// `registry`: then this is to be called again, with that.
+    /// Acts with `policy`, in this thread, until the world ends; and with those that the team changes to, which `registry`
+    /// opens.
     ///
     /// # Errors
     /// The link failed, or a signal came.
@@ -150,15 +158,20 @@ impl RunnerProcess {
         &mut self,
         policy: &mut dyn Policy,
         heuristic: Option<&mut dyn Allocator>,
-        registry: Option<&mut dyn Registry>,
+        registry: Option<Registry<SwappedPolicy>>,
         stop: &Stop,
-    ) -> Result<Ended, Error> {
+    ) -> Result<(), Error> {
         let (seats, schema) = (self.seats, self.schema);
-        let (contract, shape) = (self.contract, self.shape);
         let Self { link, role, parent, identity, abandoned, membership, .. } = self;
+        let own = Held { id: identity.model, model: Box::new(policy) as Box<dyn Policy + '_> };
+        let domain = (self.contract, self.shape);
+        let mut models = Models::new(own, (registry, |policy| policy), domain, link.waker());
+        if let Some(facts) = membership.facts()? {
+            models.join(facts.bundles(), self.mixes_teams);
+        }
         let mut runner = Runner {
             role,
-            policy,
+            models,
             heuristic,
             membership,
             parent,
@@ -166,11 +179,9 @@ impl RunnerProcess {
             identity,
             seats,
             schema,
-            reloading: Reloading { registry, contract, shape, is_due: false },
             is_told_to_end: false,
         };
-        drive(&mut runner, link, stop)?;
-        Ok(runner.reloading.ended())
+        drive(&mut runner, link, stop)
     }
 
     /// Says goodbye.
@@ -183,9 +194,9 @@ impl RunnerProcess {
     }
 }
 
-struct Runner<'a, 'p, 'h, 'r> {
+struct Runner<'a, 'p, 'h> {
     role: &'a mut RunnerRole,
-    policy: &'p mut dyn Policy,
+    models: Models<Box<dyn Policy + 'p>, SwappedPolicy>,
     heuristic: Option<&'h mut dyn Allocator>,
     membership: &'a Membership,
     parent: &'a Option<Parent>,
@@ -193,31 +204,53 @@ struct Runner<'a, 'p, 'h, 'r> {
     identity: &'a mut Identity,
     seats: u64,
     schema: u64,
-    reloading: Reloading<'r>,
     is_told_to_end: bool,
 }
 
-impl Process for Runner<'_, '_, '_, '_> {
+/// Acts for agents while the bundle that a frame asks for is being opened: it refuses, so that their fallback acts.
+pub(super) struct Unready;
+
+impl Policy for Unready {
+    fn actions(&self) -> usize {
+        0
+    }
+
+    fn utilities(&mut self, _: &Observation<'_>, _: &mut [f32]) -> Result<(), DecideError> {
+        Err(DecideError::BadLength)
+    }
+
+    fn decide(&mut self, _: &Observation<'_>) -> Result<Decision, DecideError> {
+        Err(DecideError::BadLength)
+    }
+}
+
+impl Process for Runner<'_, '_, '_> {
     type Link = IoxAgent;
 
     fn poll(&mut self, link: &mut IoxAgent) -> Result<Poll, Error> {
-        Ok(match &mut self.heuristic {
-            Some(heuristic) => self.role.poll_with_heuristic(link, self.policy, *heuristic)?,
-            None => self.role.poll(link, self.policy)?,
-        })
+        let Self { role, models, heuristic, identity, .. } = self;
+        role.receive(link)?;
+        follow(role, models, link, identity);
+        let policy: &mut dyn Policy = match models.in_use() {
+            Some(policy) => policy.as_mut(),
+            None => &mut Unready,
+        };
+        let heuristic = heuristic.as_mut().map(|heuristic| &mut **heuristic as &mut dyn Allocator);
+        Ok(role.answer(link, policy, heuristic)?)
     }
 
     fn leaves_loop(&self) -> bool {
-        self.reloading.is_due || self.is_told_to_end
+        self.is_told_to_end
     }
 
     fn look_around(&mut self) -> Result<(), Error> {
         Parent::check(self.parent)?;
+        self.models.catch_up(self.membership)?;
         self.abandoned.check(self.membership, self.role.tick())
     }
 }
 
-impl Controlled for Runner<'_, '_, '_, '_> {
+impl Controlled for Runner<'_, '_, '_> {
     fn schema(&self) -> u64 {
         self.schema
     }
@@ -227,7 +260,9 @@ impl Controlled for Runner<'_, '_, '_, '_> {
     }
 
     fn info(&self) -> ProcessInfo {
-        ProcessInfo { agents: self.seats, ..ProcessInfo::new(Role::Runner, self.identity) }
+        let (generation, candidate) = (self.models.generation(), self.models.candidate());
+        let info = ProcessInfo::new(Role::Runner, self.identity);
+        ProcessInfo { agents: self.seats, generation, candidate, ..info }
     }
 
     fn counters_mut(&mut self) -> &mut Counters {
@@ -240,16 +275,21 @@ impl Controlled for Runner<'_, '_, '_, '_> {
                 self.is_told_to_end = true;
                 ControlStatus::Done
             }
-            Command::ReloadModel => match self.reloading.load(request.text()) {
-                Ok(model) => {
-                    self.identity.model = model;
-                    self.role.change_model(model);
-                    ControlStatus::Done
-                }
-                Err(status) => status,
-            },
+            Command::PrepareBundle => self.models.prepare(request.text(), request.arg64 as u16),
             _ => ControlStatus::NotMine,
         }
+    }
+}
+
+/// Has a role decide by the bundle that its newest frame asks for.
+pub(super) fn follow<M, L>(
+    role: &mut RunnerRole,
+    models: &mut Models<M, L>,
+    link: &impl AgentLink,
+    identity: &mut Identity,
+) {
+    if let Some(model) = models.follow(role.asked_generation(link), identity) {
+        role.change_model(model);
     }
 }
 

@@ -10,13 +10,16 @@ use sortie_core::wire::{Command, ControlReq, ControlStatus, FrameFormat, Role};
 use sortie_core::{Policy, World};
 
 use super::children::Caretaker;
+use super::models::{Held, Models, Registry};
+use super::runner::{SwappedPolicy, Unready, follow};
+use super::turning::Bundles;
 use super::{Children, Controlled, Process, drive, linger};
-use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, nanoseconds};
+use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, Membership, nanoseconds};
 use crate::error::Error;
 use crate::iox::{IoxAgent, IoxWorld, LinkSetup, worst_case_bytes};
-use crate::process_info::{BUILD, ProcessInfo};
+use crate::process_info::{BUILD, Candidate, ProcessInfo};
 use crate::real_time::RealTime;
-use crate::stop::Stop;
+use crate::stop::{Stop, Wakeable};
 
 /// How long the processes of the team may take to leave.
 const GOODBYE_PATIENCE: Duration = Duration::from_secs(2);
@@ -176,6 +179,9 @@ fn play(
     start_team(&mut children)?;
     let options = settings.options(contract, format, lock.term());
     let mut role = WorldRole::new(options);
+    // A world before this one may have changed the bundle.
+    let bundles = Bundles::new(membership.facts()?.unwrap_or_else(|| facts.clone()));
+    role.begin_with_generation(bundles.generation());
     let (mut link, filling) = {
         let _starting = membership.lock_start()?;
         let (bell, linger) = (facts.bell(), linger(settings.linger, settings.is_paced()));
@@ -185,14 +191,16 @@ fn play(
             true => IoxWorld::open_private(&setup, settings.allocator || fill.is_some())?,
             false => IoxWorld::open(&setup)?,
         };
-        let open = |fill| Filling::open(fill, &setup, contract, &facts, options.identity);
+        let open = |fill| Filling::open(fill, &setup, contract, &membership, options.identity);
         (link, fill.map(open).transpose()?)
     };
     if filling.is_some() {
         role.fill_free_seats();
     }
     let _caretaker = Caretaker::start(domain)?;
-    let mut playing = Playing { role, options, world, filling, observer, children };
+    let membership = &membership;
+    let mut playing =
+        Playing { role, options, world, filling, observer, children, bundles, membership };
     settings.real_time.claim()?;
     let ended = drive(&mut playing, &mut link, stop);
     let Playing { mut role, world, mut children, .. } = playing;
@@ -216,13 +224,18 @@ struct Playing<'a, 'f> {
     filling: Option<Filling<'f>>,
     observer: &'a mut dyn WorldObserver,
     children: Children,
+    bundles: Bundles,
+    membership: &'a Membership,
 }
 
 impl Process for Playing<'_, '_> {
     type Link = IoxWorld;
 
     fn poll(&mut self, link: &mut IoxWorld) -> Result<Poll, Error> {
-        let polled = self.role.poll(link, self.world, self.observer).map_err(into_error)?;
+        let Self { role, world, observer, bundles, membership, .. } = self;
+        bundles.look(role, membership)?;
+        let mut observer = bundles.watching(role, &mut **observer);
+        let polled = role.poll(link, &mut **world, &mut observer).map_err(into_error)?;
         if let Some(leader) = self.role.take_silent_leader() {
             link.ask_to_step_down(leader)?;
         }
@@ -238,6 +251,16 @@ impl Process for Playing<'_, '_> {
 }
 
 impl Playing<'_, '_> {
+    fn prepare(&mut self, request: &ControlReq) -> ControlStatus {
+        let status = self.bundles.prepare(request, &self.role, self.membership);
+        match &mut self.filling {
+            Some(filling) if status == ControlStatus::Done => {
+                filling.models.prepare(request.text(), self.bundles.generation())
+            }
+            _ => status,
+        }
+    }
+
     /// The tick after which the first of the absent agents became so.
     fn absent_since(&self) -> u64 {
         let agents = 0..sortie_core::limits::AGENTS;
@@ -255,6 +278,7 @@ impl Controlled for Playing<'_, '_> {
     }
 
     fn info(&self) -> ProcessInfo {
+        let filling = self.filling.as_ref();
         ProcessInfo {
             agents: self.role.joined(),
             absent: self.role.absent(),
@@ -262,6 +286,8 @@ impl Controlled for Playing<'_, '_> {
             term: Some(self.options.term),
             is_paused: self.role.is_paused(),
             is_degraded: self.role.is_degraded(),
+            generation: self.role.generation(),
+            candidate: filling.map_or(Candidate::None, |filling| filling.models.candidate()),
             ..ProcessInfo::new(Role::World, &self.options.identity)
         }
     }
@@ -270,12 +296,16 @@ impl Controlled for Playing<'_, '_> {
         self.role.counters_mut()
     }
 
-    fn obey(&mut self, command: Command, _request: &ControlReq) -> ControlStatus {
+    fn obey(&mut self, command: Command, request: &ControlReq) -> ControlStatus {
         match command {
             Command::Pause => self.role.pause(),
             Command::Resume => self.role.resume(),
             Command::ResetEpisode => self.role.reset_episode(),
             Command::ShutDown => self.role.end(),
+            Command::PrepareBundle => return self.prepare(request),
+            Command::SwapBundle => {
+                return self.bundles.change(request, &mut self.role, self.membership);
+            }
             _ => return ControlStatus::NotMine,
         }
         ControlStatus::Done
@@ -295,13 +325,16 @@ pub struct Fill<'a> {
     pub policy: &'a mut dyn Policy,
     /// First 16 bytes of its model's id.
     pub model: [u8; 16],
+    /// Opens the models that the team may change to.
+    pub registry: Option<Registry<SwappedPolicy>>,
 }
 
 /// The runner at work. It takes no seat, so whoever joins finds it free.
 struct Filling<'a> {
     link: IoxAgent,
     role: RunnerRole,
-    policy: &'a mut dyn Policy,
+    identity: Identity,
+    models: Models<Box<dyn Policy + 'a>, SwappedPolicy>,
 }
 
 impl<'a> Filling<'a> {
@@ -309,30 +342,47 @@ impl<'a> Filling<'a> {
         fill: Fill<'a>,
         setup: &LinkSetup<'_>,
         contract: &DomainContract,
-        facts: &DomainFacts,
+        membership: &Membership,
         world: Identity,
     ) -> Result<Self, Error> {
         let link = IoxAgent::open_within(&LinkSetup { name: "world/fill", ..*setup })?;
+        let identity = Identity { model: fill.model, ..world };
+        let own = Held { id: fill.model, model: Box::new(fill.policy) as Box<dyn Policy + 'a> };
+        let kept: fn(SwappedPolicy) -> Box<dyn Policy + 'a> = |policy| policy;
+        let domain = (contract.hash, setup.format.layout.shape());
+        let mut models = Models::new(own, (fill.registry, kept), domain, link.waker());
+        let facts = membership.facts()?;
+        if let Some(facts) = &facts {
+            models.join(facts.bundles(), contract.mixes_teams);
+        }
         let role = RunnerRole::new(RunnerOptions {
             format: setup.format,
-            identity: Identity { model: fill.model, ..world },
+            identity,
             agents: 0,
             subtasks: contract.subtasks,
             decision_interval: contract.decision_interval,
-            period_ns: facts.period_ns(),
+            period_ns: facts.map_or(0, |facts| facts.period_ns()),
             safe_action: contract.safe_action,
         });
-        Ok(Self { link, role, policy: fill.policy })
+        Ok(Self { link, role, identity, models })
     }
 
     /// Acts for the free seats of the world's current frame, if there are some.
     fn poll(&mut self, world: &WorldRole) -> Result<Poll, Error> {
         let free = world.filled();
+        self.models.look();
         if free == 0 {
             return Ok(Poll::Wait { until_ns: u64::MAX });
         }
-        self.role.act_for(free);
-        Ok(self.role.poll(&mut self.link, self.policy)?)
+        let Self { link, role, models, identity } = self;
+        role.act_for(free);
+        role.receive(link)?;
+        follow(role, models, link, identity);
+        let policy: &mut dyn Policy = match models.in_use() {
+            Some(policy) => policy.as_mut(),
+            None => &mut Unready,
+        };
+        Ok(role.answer(link, policy, None)?)
     }
 }
 

@@ -88,10 +88,11 @@ fn one_process_is_meant_or_all_whom_it_concerns() {
     assert_eq!(outcome(&order(Command::Info, 0)), said(ControlStatus::Done));
     assert_eq!(outcome(&order(Command::SetLogLevel, 4)), said(ControlStatus::Done));
     assert_eq!(outcome(&order(Command::SetLogLevel, 9)), said(ControlStatus::BadArgument));
-    assert_eq!(outcome(&order(Command::ReloadModel, 0)), said(ControlStatus::NotSupported));
+    assert_eq!(outcome(&order(Command::PrepareBundle, 0)), said(ControlStatus::NotSupported));
     // Only a leader can step down.
     assert_eq!(outcome(&order(Command::StepDown, 0)), []);
-    assert_eq!(tell(&domain, Command::ReloadModel).len(), 3);
+    // A world notes what comes next, runners and the allocator open it.
+    assert_eq!(tell(&domain, Command::PrepareBundle).len(), 4);
     let quieter = Order { number: 5, ..Order::new(Command::SetLogLevel) };
     assert_eq!(control(&domain, &quieter).unwrap().len(), 4);
     end(&domain, world);

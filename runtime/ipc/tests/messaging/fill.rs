@@ -20,7 +20,7 @@ fn play(
     let start =
         |children: &mut Children| children.spawn("allocator", &mut child(domain, "allocator"));
     let (mut world, contract) = (ToyWorld::new(), toy::contract());
-    let fill = Fill { policy: &mut ToyPolicy, model: MODEL };
+    let fill = Fill { policy: &mut ToyPolicy, model: MODEL, registry: None };
     let filled: (&mut dyn sortie_core::World, _) = (&mut world, fill);
     let played =
         world_process_with_fill(domain, &contract, filled, settings, start, observer, stop);

@@ -20,7 +20,8 @@ use sortie_ipc::{
 use crate::own_world;
 use crate::policy;
 use crate::private;
-use crate::reload;
+
+use crate::swap;
 use crate::toy::{self, DecisionLog, ToyAllocator, ToyPolicy, ToyWorld, Watchdog};
 use crate::unallocated;
 
@@ -78,7 +79,7 @@ fn child_process() {
         "world of eight" => play(&domain, ToyWorld::of(8), &[], None, &stop),
         "one episode" => play(&domain, ToyWorld::new(), &["allocator", "0,1,2"], Some(1), &stop),
         "allocator" => allocator_process(&domain, &contract, &mut ToyAllocator, &settings, &stop),
-        role if role.starts_with(reload::RELOADS) => reload::act(role, &domain, &settings, &stop),
+        role if role.starts_with(swap::SWAPS) => swap::act(role, &domain, &settings, &stop),
         agents if agents.starts_with(private::PRIVATE) => {
             private::act(agents, &domain, &settings, &stop)
         }
@@ -505,10 +506,10 @@ fn builds_of_another_abi_are_refused() {
     let (contract, settings, stop) = (toy::contract(), ProcessSettings::default(), Stop::new());
     let facts = domain.base().join("domain.toml");
     let ours = std::fs::read_to_string(&facts).unwrap();
-    std::fs::write(&facts, ours.replace("abi = 2", "abi = 1")).unwrap();
+    std::fs::write(&facts, ours.replace("abi = 3", "abi = 1")).unwrap();
     let refused =
         runner_process(&domain, &contract, &[1], &mut ToyPolicy, &settings, &stop).unwrap_err();
-    assert!(refused.to_string().ends_with("messages are of ABI 2 here, 1 there"), "{refused}");
+    assert!(refused.to_string().ends_with("messages are of ABI 3 here, 1 there"), "{refused}");
     assert_eq!(refused.exit_code(), 78);
     std::fs::write(&facts, ours).unwrap();
     kill_process(pid(&world), Signal::TERM).unwrap();

@@ -118,7 +118,7 @@ fn message() -> ActionMsg {
         action: 0,
         flags: 0,
         task: UNASSIGNED,
-        abi: 2,
+        abi: 3,
         q: 0.0,
         decide_ns: 0,
         alloc_term: 0,

@@ -39,7 +39,8 @@ pub(super) struct FramePacket {
     pub(super) tick: u64,
     /// Microseconds until the deadline, where there is one.
     pub(super) left_us: Option<u64>,
-    pub(super) flags: u32,
+    pub(super) flags: u16,
+    pub(super) generation: u16,
     pub(super) world_term: u32,
     pub(super) episode: u32,
     pub(super) open_tasks: u32,

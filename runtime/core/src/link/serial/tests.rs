@@ -130,6 +130,7 @@ fn frame(tick: u64) -> (FrameHeader, Vec<FrameBlock>) {
         deadline_ns: 9_000_000,
         len: layout.payload_bytes() as u32,
         flags: 0,
+        generation: 3,
         world_term: (tick >> 32) as u32,
         episode: 1,
     };
@@ -144,7 +145,7 @@ fn allocation(tick: u64) -> AllocMsg {
         valid_until: tick + 4,
         n_agents: 3,
         n_tasks: 2,
-        abi: 2,
+        abi: 3,
         task: [0xFF; 64],
         ..AllocMsg::new_zeroed()
     };
@@ -350,7 +351,7 @@ fn packets_are_what_they_always_were() {
         action: 3,
         flags: ActionMsg::LATE,
         task: 1,
-        abi: 2,
+        abi: 3,
         q: 1.5,
         decide_ns: 4_000,
         alloc_term: 1,
@@ -362,7 +363,7 @@ fn packets_are_what_they_always_were() {
         start_ns: 4_000_000,
         pid: 4_711,
         role: 1,
-        abi: 2,
+        abi: 3,
         n_agents: 1,
         agents: 0b100,
         last_tick: 1 << 32 | 7,

@@ -66,7 +66,7 @@ fn head(
     agents: u64,
     now_ns: u64,
 ) -> FramePacket {
-    let FrameHeader { schema, abi, kind, seq, tick, deadline_ns, flags, .. } = *header;
+    let FrameHeader { schema, abi, kind, seq, tick, deadline_ns, flags, generation, .. } = *header;
     let left_us = deadline_ns.saturating_sub(now_ns) / MICROSECOND;
     FramePacket {
         schema,
@@ -76,6 +76,7 @@ fn head(
         tick,
         left_us: (deadline_ns != 0).then_some(left_us),
         flags,
+        generation,
         world_term: header.world_term,
         episode: header.episode,
         open_tasks: view.map_or(0, FrameView::open_tasks),
@@ -179,6 +180,7 @@ fn header(head: &FramePacket, layout: &FrameLayout, started_ns: u64) -> FrameHea
         deadline_ns: head.left_us.map_or(0, |left_us| deadline(left_us).max(1)),
         len: layout.payload_bytes() as u32,
         flags: head.flags,
+        generation: head.generation,
         world_term: head.world_term,
         episode: head.episode,
     }

@@ -4,7 +4,7 @@
 use super::{Phase, WorldError, WorldObserver, WorldRole, ring_all};
 use crate::link::{LinkError, WorldLink};
 use crate::roles::Poll;
-use crate::wire::{FrameHeader, FrameKind};
+use crate::wire::{FrameHeader, FrameKind, SwapMoment};
 use crate::world::World;
 
 /// Allocations that a leader may leave unanswered before it is asked to step down.
@@ -19,6 +19,8 @@ pub(super) struct Orders {
     reset: bool,
     /// What the current frame shows is no longer so.
     anew: bool,
+    /// The generation of the bundle to change to, and when.
+    swap: Option<(u16, SwapMoment)>,
     /// The world is to end.
     end: bool,
 }
@@ -59,6 +61,22 @@ impl WorldRole {
         self.orders.anew = self.phase == Phase::Acting;
     }
 
+    /// The generation of the bundle that the newest frame asks answers of.
+    pub fn generation(&self) -> u16 {
+        self.generation
+    }
+
+    /// Asks for the answers of this generation's bundle from the first frame on: for a world that takes another's place.
+    pub fn begin_with_generation(&mut self, generation: u16) {
+        self.generation = generation;
+    }
+
+    /// Asks for the answers of another generation's bundle, from one tick on, which asks for a new allocation as well:
+    /// nobody acts on one that another bundle made.
+    pub fn change_generation(&mut self, generation: u16, moment: SwapMoment) {
+        self.orders.swap = Some((generation, moment));
+    }
+
     /// Ends with the next poll, and the team with it.
     pub fn end(&mut self) {
         self.orders.end = true;
@@ -86,6 +104,15 @@ impl WorldRole {
         if self.allocations_missed >= self.chances.used_up_at && self.awaits_allocation() {
             self.chances.silent = self.seats.leader();
             self.chances.used_up_at = self.allocations_missed.saturating_add(LEADER_CHANCES);
+        }
+    }
+
+    /// Before a tick: changes to the bundle that is due now, if there is one.
+    pub(super) fn change_bundle(&mut self) {
+        let is_due = |moment| moment == SwapMoment::NextTick || self.step == 0;
+        if let Some((generation, _)) = self.orders.swap.take_if(|(_, moment)| is_due(*moment)) {
+            self.generation = generation;
+            self.allocate_next = true;
         }
     }
 
@@ -132,7 +159,7 @@ impl WorldRole {
         &mut self,
         link: &mut impl WorldLink,
         world: &W,
-        flags: u32,
+        flags: u16,
     ) -> Result<(), LinkError> {
         let paced = self.phase;
         self.publish(link, world, FrameKind::World, flags)?;

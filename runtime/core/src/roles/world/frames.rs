@@ -18,6 +18,7 @@ impl WorldRole {
         world: &W,
     ) -> Result<(), WorldError> {
         self.count_tick()?;
+        self.change_bundle();
         let since = self.tick().saturating_sub(self.decision_tick);
         let is_due = since >= u64::from(self.options.decision_interval);
         self.reallocated = self.options.allocator && (self.allocate_next || is_due);
@@ -64,7 +65,7 @@ impl WorldRole {
         link: &mut impl WorldLink,
         world: &W,
         kind: FrameKind,
-        flags: u32,
+        flags: u16,
     ) -> Result<(), LinkError> {
         self.seq += 1;
         let now = link.now_ns();
@@ -86,6 +87,7 @@ impl WorldRole {
             // The limit of a frame fits the field.
             len: layout.payload_bytes() as u32,
             flags,
+            generation: self.generation,
             world_term: self.options.term,
             episode: self.episode,
         };

@@ -246,7 +246,7 @@ impl Stage {
 
     pub(crate) fn tell(&mut self, role: Role, pid: u32, agents: u64, flags: u32) {
         let (schema, role) = (SCHEMA, role as u8);
-        let status = StatMsg { schema, abi: 2, role, pid, agents, flags, ..StatMsg::new_zeroed() };
+        let status = StatMsg { schema, abi: 3, role, pid, agents, flags, ..StatMsg::new_zeroed() };
         self.table.statuses.push(status);
     }
 
@@ -263,7 +263,7 @@ impl Stage {
     pub(crate) fn answer(&self, agent: u16) -> ActionMsg {
         let runner = RUNNERS[usize::from(agent)];
         let (tick, t_ns) = (self.role.tick(), self.table.now_ns);
-        ActionMsg { schema: SCHEMA, abi: 2, tick, t_ns, agent, runner, ..ActionMsg::new_zeroed() }
+        ActionMsg { schema: SCHEMA, abi: 3, tick, t_ns, agent, runner, ..ActionMsg::new_zeroed() }
     }
 
     pub(crate) fn allocate(&mut self, epoch: u32) {
@@ -271,7 +271,7 @@ impl Stage {
         let valid_until = tick + 4;
         let allocation = AllocMsg {
             schema: SCHEMA,
-            abi: 2,
+            abi: 3,
             tick,
             valid_until,
             term: 1,

@@ -25,7 +25,7 @@ pub(super) struct Sent {
     pub(super) decision_tick: u64,
     pub(super) present: u64,
     pub(super) absent: u64,
-    pub(super) flags: u32,
+    pub(super) flags: u16,
     pub(super) kind: FrameKind,
     pub(super) patience: u64,
     pub(super) header: FrameHeader,
@@ -62,6 +62,7 @@ impl Sent {
             deadline_ns: now + self.patience,
             len: format.layout.payload_bytes() as u32,
             flags: self.flags,
+            generation: 0,
             world_term: (self.tick >> 32) as u32,
             episode: self.header.episode,
         };
@@ -171,7 +172,7 @@ pub(super) fn allocation<T: Transport>(team: &T, count: u64, term: u32, epoch: u
         decide_ns: 0,
         n_agents: SHAPE.agents as u16,
         n_tasks: SHAPE.tasks as u8,
-        abi: 2,
+        abi: 3,
         flags: 0,
         task,
     }

@@ -122,7 +122,7 @@ fn answer<T: Transport>(team: &T, agent: u16, action: u16) -> ActionMsg {
         action,
         flags: 0,
         task: UNASSIGNED,
-        abi: 2,
+        abi: 3,
         q: 0.0,
         decide_ns: 0,
         alloc_term: 0,

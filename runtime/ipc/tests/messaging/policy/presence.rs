@@ -37,7 +37,7 @@ fn a_server_says_who_it_is_and_ends_when_it_is_told() {
     }
     let other = Order { process: Some(1), ..Order::new(Command::ShutDown) };
     assert_eq!(told(&domain, other), []);
-    let reload = told(&domain, Order::new(Command::ReloadModel).with_text("other"));
+    let reload = told(&domain, Order::new(Command::PrepareBundle).with_text("other"));
     assert_eq!(reload[0].status, Some(ControlStatus::NotSupported));
     assert_eq!(client.decide(&[&[0.5]], &[]).unwrap().status, AnswerStatus::Answered);
     let last = told(&domain, Order::new(Command::ShutDown));

@@ -80,7 +80,7 @@ fn whoever_lacks_the_newest_allocation_is_sent_it_again() {
     let acts = |tick, epoch| {
         Packet::Action(ActionPacket::new(&ActionMsg {
             schema: SCHEMA,
-            abi: 2,
+            abi: 3,
             tick,
             alloc_term: 1,
             alloc_epoch: epoch,
@@ -93,7 +93,7 @@ fn whoever_lacks_the_newest_allocation_is_sent_it_again() {
     assert_eq!(sent_again(&[acts(6, 2), acts(12, 2)]), (vec![], 1), "announced once");
     let hello = StatMsg {
         schema: SCHEMA,
-        abi: 2,
+        abi: 3,
         role: Role::Runner as u8,
         agents: AGENTS,
         flags: StatMsg::HELLO,
