@@ -155,7 +155,7 @@ fn line(answer: &Answer) -> String {
         line += &format!(", model {:.8}", model(answer));
     }
     if process.generation != 0 {
-        line += &format!(", bundle changed for the {}. time", process.generation);
+        line += &format!(", generation {}", process.generation);
     }
     if let Some(term) = process.term {
         line += &format!(", leads in term {term}");

@@ -272,10 +272,10 @@ fn watched_ticks(domain: &Domain, watch_ns: u64) -> Result<u32, Failure> {
 fn await_change(swap: &Swap, bundle: &Bundle, stop: &Stop) -> Result<Vec<ProcessInfo>, Failure> {
     loop {
         let mut processes = swap.processes()?;
-        // It may have turned back already.
+        // It may have turned back already, or stand still: then it changes with the tick after.
         let world = processes.iter().find(|process| process.role == Role::World);
-        let is_over =
-            world.is_some_and(|world| world.generation == swap.next_generation().wrapping_add(1));
+        let after = swap.next_generation().wrapping_add(1);
+        let is_over = world.is_some_and(|world| world.generation == after || world.is_paused);
         let decides = |process: &ProcessInfo| process.role != Role::World && !process.serves;
         processes.retain(decides);
         if is_over || processes.iter().all(|process| process.model == model_id(bundle)) {

@@ -47,7 +47,10 @@ fn a_team_that_is_up_does_what_it_is_told() {
     let reload =
         |bundle: &str| output(&["control", "reload", bundle, "--domain", &domain.id, "--json"]);
     let model = |told: &serde_json::Value| told["processes"][0]["model"].clone();
-    let before = model(&tell("info"));
+    let info = tell("info");
+    let decides = |process: &&serde_json::Value| process["role"] != "world";
+    let decides = info["processes"].as_array().expect("processes").iter().find(decides);
+    let small = decides.expect("a runner")["model"].clone();
     let reloaded = reload(&format!("{BUNDLE}-large"));
     assert_eq!(reloaded.status.code(), Some(0), "{}", stderr(&reloaded));
     let reloaded: serde_json::Value = serde_json::from_slice(&reloaded.stdout).expect("JSON");
@@ -56,11 +59,41 @@ fn a_team_that_is_up_does_what_it_is_told() {
     assert_eq!(processes.len(), 7, "{reloaded}");
     assert!(processes.iter().all(|process| process["outcome"] == "done"), "{reloaded}");
     let large = model(&reloaded);
-    assert!(large != before && processes.iter().all(|process| process["model"] == large));
+    assert!(large != small && processes.iter().all(|process| process["model"] == large));
     assert_fails(&reload("models/save-the-village"), 66, &["save-the-village"]);
     await_info(&domain.id, |processes| {
         processes.iter().all(|process| process["role"] == "world" || process["model"] == large)
     });
+    let swap = |arguments: &[&str]| {
+        let domain = ["--domain", &domain.id, "--json"];
+        output(&[&["control", "swap", BUNDLE], arguments, &domain[..]].concat())
+    };
+    // The other bundle decides otherwise: too much so for the shadow, and too much so for a team that has changed to it.
+    let kept = swap(&["--shadow", "1s", "--back-if", "disagreement=0.001"]);
+    assert_fails(&kept, 1, &["% otherwise: the team keeps what it has"]);
+    let turned = swap(&["--back-if", "disagreement=0.001"]);
+    assert_eq!(turned.status.code(), Some(1), "{}", stderr(&turned));
+    let turned: serde_json::Value = serde_json::from_slice(&turned.stdout).expect("JSON");
+    assert_eq!((&turned["turned_back"], &turned["generation"]), (&true.into(), &2.into()));
+    await_info(&domain.id, |processes| {
+        processes.iter().all(|process| {
+            process["generation"] == 3 && (process["role"] == "world" || process["model"] == large)
+        })
+    });
+    let changed = swap(&[
+        "--shadow",
+        "1s",
+        "--at",
+        "next-episode",
+        "--back-if",
+        "fallbacks",
+        "--watch",
+        "1s",
+    ]);
+    assert_eq!(changed.status.code(), Some(0), "{}", stderr(&changed));
+    let changed: serde_json::Value = serde_json::from_slice(&changed.stdout).expect("JSON");
+    assert_eq!(model(&changed), small);
+    assert!(changed["shadow"]["agreement"]["of"].as_u64() > Some(100), "{changed}");
     let nobody = output(&["control", "pause", "--domain", &domain.id, "--process", "1"]);
     assert_fails(&nobody, 69, &["no process that could do it has answered"]);
     assert_eq!(tell("shut-down")["processes"][0]["outcome"], "done");
