@@ -211,11 +211,7 @@ mod tests {
             hash: 1,
             decision_interval: 5,
             subtasks: allocator.is_some(),
-            safe_action: None,
-            model: [0; 16],
-            allocation: None,
-            mixes_teams: false,
-            fields: toml::Table::new(),
+            ..DomainContract::default()
         };
         let settings = WorldSettings { episodes: Some(episodes), ..WorldSettings::default() };
         let mut policy = Last(actions, allocator.is_some());

@@ -186,7 +186,8 @@ mod tests {
 
     #[test]
     fn every_agent_decides_by_the_policy_that_is_named_for_it() {
-        let policies = || [3, 1].map(|action| Box::new(Always(action)) as Box<dyn Policy>).into();
+        let policies =
+            || [3, 1].map(|action| Box::new(Always(action)) as Box<dyn Policy + Send>).into();
         let actions = |policy_of: &[u16]| {
             let mut policy = policy_by_agent(policies(), policy_of, 4);
             [0, 1, 2].map(|agent| {

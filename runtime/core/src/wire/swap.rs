@@ -63,3 +63,27 @@ impl SwapOrder {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_order_is_a_number_and_comes_back() {
+        let mut numbers = std::collections::BTreeSet::new();
+        for flags in 0..8_u8 {
+            let has = |bit: u8| flags >> bit & 1 == 1;
+            let order = SwapOrder {
+                generation: 0xFEDC,
+                moment: if has(0) { SwapMoment::NextEpisode } else { SwapMoment::NextTick },
+                back: TurnBack { on_fallback: has(1), on_late: has(2) },
+                watched_ticks: u32::MAX - 1,
+            };
+            assert_eq!(SwapOrder::from_number(order.to_number()), Some(order));
+            numbers.insert(order.to_number());
+        }
+        assert_eq!(numbers.len(), 8);
+        // What only a later version says is not passed over.
+        assert_eq!(SwapOrder::from_number(1 << 19), None);
+    }
+}

@@ -2,10 +2,11 @@
 
 mod abandoned;
 mod allocator;
+mod bundles;
 mod children;
 mod models;
 mod runner;
-mod turning;
+
 mod world;
 
 use std::fs::File;

@@ -9,10 +9,10 @@ use sortie_core::roles::{
 use sortie_core::wire::{Command, ControlReq, ControlStatus, FrameFormat, Role};
 use sortie_core::{Policy, World};
 
+use super::bundles::Bundles;
 use super::children::Caretaker;
 use super::models::{Held, Models, Registry};
 use super::runner::{SwappedPolicy, Unready, follow};
-use super::turning::Bundles;
 use super::{Children, Controlled, Process, drive, linger};
 use crate::domain::{BellKind, Domain, DomainContract, DomainFacts, Membership, nanoseconds};
 use crate::error::Error;

@@ -367,6 +367,8 @@ fn the_next_world_goes_on_with_the_bundle_that_its_team_has_changed_to() {
         found.len() == 3 && found.iter().all(has_changed)
     });
     control(&domain, &Order::new(Command::ShutDown)).unwrap();
-    all.iter_mut().for_each(|child| drop(child.wait().unwrap()));
+    for child in &mut all {
+        child.wait().unwrap();
+    }
     assert_eq!(toy::leftovers(&domain), [""; 0]);
 }

@@ -2,7 +2,7 @@
 
 use sortie_core::UNASSIGNED;
 use sortie_core::roles::Poll;
-use sortie_core::wire::{ActionMsg, FrameHeader, Role, StatMsg};
+use sortie_core::wire::{ActionMsg, FrameHeader, Role, StatMsg, SwapMoment};
 
 use super::stage::{PERIOD, START, Stage, TERM};
 
@@ -171,4 +171,34 @@ fn the_time_from_the_last_answer_to_the_world_is_noted() {
         assert_eq!((told.hist_wake[2], told.hist_wake.iter().sum::<u32>()), (1, 1));
         assert_eq!(told.hist_work.iter().sum::<u32>(), 1);
     }
+}
+
+#[test]
+fn another_bundle_is_asked_for_from_one_tick_on_which_asks_for_an_allocation_as_well() {
+    let mut stage = Stage::new(|options| (options.required, options.episodes) = (0, Some(3)));
+    stage.rounds.length = 3;
+    stage.role.begin_with_generation(6);
+    stage.play(2);
+    stage.role.change_generation(7, SwapMoment::NextTick);
+    stage.play(3);
+    assert_eq!(stage.role.generation(), 7);
+    stage.role.change_generation(8, SwapMoment::NextEpisode);
+    stage.play(usize::MAX);
+    let asks = |frame: &FrameHeader| frame.asks_for_actions();
+    let frames = stage.table.frames.iter().filter(|frame| asks(frame));
+    let frames: Vec<_> = frames
+        .map(|frame| (frame.episode, frame.generation, frame.has(FrameHeader::REALLOC)))
+        .collect();
+    let generations: Vec<u16> = frames.iter().map(|(_, generation, _)| *generation).collect();
+    assert_eq!(generations[0], 6);
+    assert!(generations.is_sorted() && generations.last() == Some(&8), "{frames:?}");
+    for (before, after) in frames.iter().zip(frames.iter().skip(1)) {
+        if before.1 != after.1 {
+            assert!(after.2, "{frames:?}");
+        }
+        if after.1 == 8 {
+            assert!(before.1 == 8 || before.0 != after.0, "{frames:?}");
+        }
+    }
+    assert!(frames.iter().any(|(episode, generation, _)| (*episode, *generation) == (0, 6)));
 }
