@@ -8,7 +8,7 @@ use forged::MOST_BYTES;
 use input::Input;
 use libfuzzer_sys::fuzz_target;
 use sortie_core::internal::kernels::build::Build;
-use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::plan::{AlignedBytes, Guards, Plan};
 use sortie_core::{EntityMask, NO_ACTION, Observation};
 
 /// Bytes before and after the arena that must stay as they are.
@@ -16,6 +16,7 @@ const GUARD: usize = 64;
 
 fuzz_target!(|bytes: &[u8]| {
     let Some((plan, bytes)) = forged::plan(bytes) else { return };
+    let _ = Guards::of_plan(plan.as_slice()).map(|found| found.map(|guards| guards.check_fits(1, 1)));
     if let Ok(plan) = Plan::load(plan.as_slice()) {
         decide(&plan, bytes);
         respond(&plan, bytes);

@@ -17,6 +17,7 @@ use sortie_plans::{
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::{ENGINE, PolicyArguments};
+use crate::guards;
 use crate::output::{Common, Table, plural, print_json, say, tell};
 use crate::tools::compiler;
 
@@ -223,6 +224,9 @@ fn print_plan(facts: &PlanFacts) {
     }
     if let Some(robot) = &facts.robot {
         row("normaliser", normaliser(robot).to_owned());
+    }
+    for (name, words) in facts.guards.iter().flat_map(guards::lines) {
+        row(name, words);
     }
     table.print();
     say!();

@@ -20,6 +20,7 @@ mod export;
 pub mod failure;
 pub mod files;
 pub mod foreign;
+pub mod guards;
 mod inspect;
 pub mod latency;
 mod listener;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::Args;
 use serde::Serialize;
 use sortie_bundle::sha256;
-use sortie_core::plan::{AlignedBytes, Plan, RobotFacts};
+use sortie_core::plan::{AlignedBytes, GuardError, GuardFacts, Guards, Plan, RobotFacts};
 use sortie_core::wire::Reason;
 use sortie_ipc::{
     Domain, Engine, Fallback, PolicySchema, PolicyServer, Port, RealTime, ServeCounters,
@@ -19,6 +19,7 @@ use sortie_plans::{
 
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::{ENGINE, PolicyArguments};
+use crate::guards::{self, Tripped, Trips};
 use crate::latency::{Latency, Percentiles};
 use crate::output::{Common, Table, print_json, say};
 use crate::policy::Backend;
@@ -89,6 +90,8 @@ struct Summary<'a> {
     engine: &'static str,
     #[serde(flatten)]
     counters: &'a ServeCounters,
+    /// Which guards tripped, how often.
+    trips: Vec<Tripped>,
     /// From the sending of an observation to the server running, in microseconds.
     wake_us: Option<Percentiles>,
     /// The decision alone.
@@ -116,7 +119,11 @@ fn serve_plan(
     let plan = Plan::load(bytes.as_slice())
         .map_err(|error| within(Failure::from(CompileError::from(error))))?;
     let schema = schema(&plan, bytes.as_slice()).map_err(within)?;
-    serve(arguments, schema, |server, observe, stop| server.serve(&plan, observe, stop))
+    let damaged = |error: GuardError| within(Failure::new(Exit::BadData, error.to_string()));
+    let guards = Guards::of_plan(bytes.as_slice()).map_err(damaged)?;
+    serve(arguments, schema, guards, |server, observe, stop| {
+        server.serve(&plan, guards, observe, stop)
+    })
 }
 
 /// A file that another process has read and run is run here, as by all verbs that run graphs.
@@ -136,13 +143,17 @@ fn serve_graph(
     let model = sha256(bytes).first_chunk().copied().unwrap_or_default();
     let mut graph = Graph::new(policy, model).map_err(failed)?;
     let schema = graph.schema();
-    serve(arguments, schema, |server, observe, stop| server.serve_with(&mut graph, observe, stop))
+    // Guards stand in plans alone.
+    serve(arguments, schema, None, |server, observe, stop| {
+        server.serve_with(&mut graph, None, observe, stop)
+    })
 }
 
 /// Opens the services, and decides until Ctrl-C.
 fn serve(
     arguments: &ServeArguments,
     schema: PolicySchema,
+    guards: Option<Guards<'_>>,
     decide: impl FnOnce(
         &mut PolicyServer,
         &mut dyn FnMut(&Served),
@@ -169,17 +180,24 @@ fn serve(
         if let Some(seed) = settings.draw {
             say!("actions are drawn, seed {seed}");
         }
+        for (name, words) in guards.map(GuardFacts::from).iter().flat_map(guards::lines) {
+            say!("{name}: {words}");
+        }
         say!("serving in domain `{}`; Ctrl-C ends it", domain.id());
     }
     let (mut wake, mut decision) = (Latency::default(), Latency::default());
+    let mut trips = Trips::default();
     let mut observe = |served: &Served| {
         wake.record_ns(served.wake_ns);
         decision.record_ns(served.decide_ns);
+        if let Some(trip) = served.trip {
+            trips.count(served.seq, trip, !common.quiet);
+        }
     };
     let counters = decide(&mut server, &mut observe, &stop)?;
     drop(server);
     let shown = |latency: &Latency| (latency.samples() > 0).then(|| latency.percentiles());
-    report(arguments, &counters, [shown(&wake), shown(&decision)]);
+    report(arguments, &counters, &trips, [shown(&wake), shown(&decision)]);
     Ok(())
 }
 
@@ -226,6 +244,7 @@ fn describe(schema: &PolicySchema) -> String {
 fn report(
     arguments: &ServeArguments,
     counters: &ServeCounters,
+    trips: &Trips,
     [wake_us, decide_us]: [Option<Percentiles>; 2],
 ) {
     let ServeArguments { policy, domain, common, .. } = arguments;
@@ -238,6 +257,7 @@ fn report(
                 Backend::Tract => ENGINE,
             },
             counters,
+            trips: trips.tripped(),
             wake_us,
             decide_us,
         });
@@ -253,6 +273,7 @@ fn report(
         "{answered} answered{by}, {late} of them late, {fallbacks} fallbacks, {missed} missed, {refused} refused; \
          {sessions} robots, {resets} episodes"
     );
+    trips.print();
     let mut table = Table::new(&["microseconds", "p50", "p99", "max"]);
     for (name, of) in [("until it runs", wake_us), ("decision", decide_us)] {
         if let Some(Percentiles { p50, p99, max, .. }) = of {

@@ -1,6 +1,7 @@
 //! `sortie compile`: an ONNX network becomes a plan, proved against its source.
 
 mod bundle;
+mod guards;
 
 use std::path::{Path, PathBuf};
 
@@ -39,6 +40,7 @@ use self::bundle::Paired;
   sortie compile walking.onnx -o walking.plan
   sortie compile walking.onnx -o walking.plan --npz recorded.npz
   sortie compile walking.onnx -o walking.plan --profile int8 --npz recorded.npz
+  sortie compile walking.onnx -o walking.plan --guards guards.toml --npz recorded.npz --guard-inputs 0.1
   sortie compile models/first -o models/first-with-plans
   sortie compile models/save-the-city -o agent.plan --profile int8
   sortie compile models/save-the-city -o agent.plan --profile int8 --dsp")]
@@ -63,6 +65,12 @@ pub(crate) struct CompileArguments {
     /// plan must act as the f32 plan does: arrays that `numpy.savez` saved, one case behind the other
     #[arg(long, value_name = "FILE", conflicts_with = "observations")]
     npz: Option<PathBuf>,
+    /// What a policy's plan is let see and let do, as TOML: ranges, rates, age, and what is done beyond them
+    #[arg(long, value_name = "FILE")]
+    guards: Option<PathBuf>,
+    /// Guard inputs by the lowest and highest of `--npz`, widened by this share of their distance on either side
+    #[arg(long, value_name = "MARGIN", value_parser = guards::margin)]
+    guard_inputs: Option<f32>,
     /// Write an int8 plan however seldom it takes the same action or succeeds, and whatever was recorded
     #[arg(long)]
     force: bool,
@@ -122,6 +130,8 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     if path.is_dir() {
         return bundle::compile_bundle(arguments);
     }
+    // What is wrong with the guards is said before anything takes its time.
+    guards::asked(arguments)?;
     let onnx = read_onnx(path).map_err(|error| Failure::file(path, &error))?;
     let options = CompileOptions {
         n_max: arguments.n_max.into(),
@@ -174,12 +184,12 @@ pub(crate) fn run(arguments: &CompileArguments) -> Outcome {
     Ok(())
 }
 
-/// Writes a plan, laid out as is asked for.
+/// Writes a plan, laid out and guarded as is asked for.
 fn write_plan(arguments: &CompileArguments, plan: &[u8]) -> Outcome {
-    if arguments.dsp {
-        return write_output(&arguments.output, for_dsp(plan)?.as_slice());
-    }
-    write_output(&arguments.output, plan)
+    let mut written =
+        if arguments.dsp { for_dsp(plan)?.as_slice().to_vec() } else { plan.to_vec() };
+    guards::append(arguments, plan, &mut written)?;
+    write_output(&arguments.output, &written)
 }
 
 /// Compiles a network of ours, or a policy of somebody else: what says something about one means one. With the plan comes

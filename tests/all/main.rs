@@ -11,6 +11,7 @@ mod endings;
 mod exit_codes;
 mod firmware;
 mod foreign;
+mod guards;
 mod hard;
 mod imports;
 mod measure;

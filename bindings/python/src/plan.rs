@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use numpy::PyUntypedArrayMethods;
-use pyo3::exceptions::PyTypeError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyDict, PyTuple};
 use serde_json::{Value, json};
 use sortie_core::DecideError;
-use sortie_core::plan::{AlignedBytes, Network, PlanError, RobotFacts};
+use sortie_core::plan::{AlignedBytes, GuardFacts, Network, PlanError, RobotFacts};
 use sortie_plans::{OutputRole, PolicyOutput, inspect_plan};
 
 use crate::arrays::{Numbers, array, array_as, flags, mask, numbers, slice};
@@ -197,6 +197,13 @@ impl Plan {
     #[getter]
     fn robot<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &json!(RobotFacts::of_plan(self.plan.bytes()).unwrap_or_default()))
+    }
+
+    /// What is let in and out of the policy, where its plan says.
+    #[getter]
+    fn guards<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let guards = GuardFacts::of_plan(self.plan.bytes());
+        to_python(py, &json!(guards.map_err(|error| PyValueError::new_err(error.to_string()))?))
     }
 
     fn __repr__(&self) -> String {

@@ -7,7 +7,7 @@ use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use serde_json::json;
-use sortie_core::plan::{Normaliser, RobotFacts};
+use sortie_core::plan::{Normaliser, RobotFacts, Trip};
 use sortie_core::wire::{AnswerStatus, Reason};
 use sortie_ipc::{
     AnyThread, ClientCounters, ClientSettings, Domain, Error, Expected, Fallback, PolicySchema,
@@ -45,6 +45,10 @@ pub(crate) struct Action {
     status: &'static str,
     /// Why it is the fallback.
     reason: Option<&'static str>,
+    /// The guard that tripped.
+    guard: Option<&'static str>,
+    /// Which input or output it tripped at.
+    guard_index: Option<u32>,
     /// The action, where the policy chooses one.
     action: Option<u16>,
     /// The output, or a dict of several by name.
@@ -147,12 +151,23 @@ impl PolicyClient {
     #[getter]
     fn counters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let counters = *self.counters.lock().unwrap_or_else(PoisonError::into_inner);
-        let ClientCounters { answered, late, fallbacks, silent, overdue, foreign, lost_states } =
-            counters;
+        let ClientCounters {
+            answered,
+            late,
+            fallbacks,
+            guarded,
+            clamped,
+            silent,
+            overdue,
+            foreign,
+            lost_states,
+        } = counters;
         let report = json!({
             "answered": answered,
             "late": late,
             "fallbacks": fallbacks,
+            "guarded": guarded,
+            "clamped": clamped,
             "silent": silent,
             "overdue": overdue,
             "foreign": foreign,
@@ -197,10 +212,12 @@ impl PolicyClient {
 #[pymethods]
 impl Action {
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
-        let Self { status, reason, action, outputs, .. } = self;
+        let Self { status, reason, guard, guard_index, action, outputs, .. } = self;
         let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
+        let index = guard_index.map_or_else(String::new, |index| format!(" {index}"));
+        let guard = guard.map_or_else(String::new, |guard| format!(" [{guard}{index}]"));
         let action = action.map_or_else(String::new, |action| format!(" action {action}"));
-        Ok(format!("<sortie.Action {status}{reason}:{action} {}>", outputs.bind(py).repr()?))
+        Ok(format!("<sortie.Action {status}{reason}{guard}:{action} {}>", outputs.bind(py).repr()?))
     }
 }
 
@@ -208,6 +225,7 @@ impl Action {
 struct Decided {
     status: AnswerStatus,
     reason: Reason,
+    guard: Option<Trip>,
     action: Option<u16>,
     outputs: Vec<f32>,
     lost_state: bool,
@@ -215,8 +233,8 @@ struct Decided {
 
 impl From<sortie_ipc::Action<'_>> for Decided {
     fn from(action: sortie_ipc::Action<'_>) -> Self {
-        let sortie_ipc::Action { status, reason, action, outputs, lost_state } = action;
-        Self { status, reason, action, outputs: outputs.to_vec(), lost_state }
+        let sortie_ipc::Action { status, reason, guard, action, outputs, lost_state } = action;
+        Self { status, reason, guard, action, outputs: outputs.to_vec(), lost_state }
     }
 }
 
@@ -267,7 +285,7 @@ impl PolicyClient {
     }
 
     fn action(&self, py: Python<'_>, decided: &Decided) -> PyResult<Action> {
-        let Decided { status, reason, action, outputs, lost_state } = decided;
+        let Decided { status, reason, guard, action, outputs, lost_state } = decided;
         let mut rest = outputs.as_slice();
         let mut next = |length: usize| rest.split_off(..length).unwrap_or_default();
         let outputs = match self.interface.wanted.as_slice() {
@@ -284,6 +302,8 @@ impl PolicyClient {
         Ok(Action {
             status: status_name(*status),
             reason: reason_name(*reason),
+            guard: guard.map(Trip::name),
+            guard_index: guard.and_then(Trip::index),
             action: *action,
             outputs: outputs.unbind(),
             lost_state: *lost_state,
@@ -383,5 +403,6 @@ fn reason_name(reason: Reason) -> Option<&'static str> {
         Reason::NoAvailableAction => Some("no_available_action"),
         Reason::Policy => Some("policy"),
         Reason::Silence => Some("silence"),
+        Reason::Guard => Some("guard"),
     }
 }

@@ -126,8 +126,23 @@ def test_what_the_policy_cannot_decide_on_is_the_fallback(robot):
     assert (refused.status, refused.reason) == ("fallback", "non_finite")
     assert refused.outputs == held and "fallback (non_finite)" in repr(refused)
     assert policy.counters == {
-        **dict.fromkeys(("late", "silent", "overdue", "foreign", "lost_states"), 0), "answered": 1, "fallbacks": 1,
+        **dict.fromkeys(("late", "guarded", "clamped", "silent", "overdue", "foreign", "lost_states"), 0),
+        "answered": 1, "fallbacks": 1,
     }
+
+
+def test_the_guard_that_tripped_is_told(domain):
+    plan = ROOT / "tests" / "golden" / "plans" / "guarded-2.3.plan"
+    guards = sortie.Plan(plan).guards
+    assert (guards["hold"], guards["fallback"], guards["inputs"]["highest"]) == (2, "zero", [1.5])
+    assert sortie.Plan(CART).guards is None
+    with served(domain, plan), sortie.PolicyClient(domain, inputs=POSITION, outputs=FORCE, **PATIENT) as policy:
+        told = [policy.decide([position]) for position in (2.0, 0.5)]
+        assert [(action.status, action.reason) for action in told] == [("fallback", "guard")] * 2
+        assert [(action.guard, action.guard_index) for action in told] == [("input_range", 0), ("held", None)]
+        assert [action.outputs.tolist() for action in told] == [[0.0]] * 2
+        assert "fallback (guard) [input_range 0]" in repr(told[0])
+        assert (policy.counters["guarded"], policy.counters["fallbacks"]) == (2, 2)
 
 
 def test_what_does_not_fit_is_an_exception_and_nothing_is_sent(robot):

@@ -10,7 +10,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use rustix::thread::{disable_syscall_user_dispatch, enable_syscall_user_dispatch};
-use sortie_core::plan::Plan;
+use sortie_core::plan::{Guards, Plan};
 use sortie_core::roles::{
     AllocatorOptions, AllocatorRole, Identity, Poll, RunnerOptions, RunnerRole, TickReport,
     WorldObserver, WorldOptions, WorldRole,
@@ -283,8 +283,10 @@ fn a_tick_without_sleepers_calls_neither_kernel_nor_heap() {
 
 #[test]
 fn neither_end_of_a_served_policy_calls_the_heap() {
-    const CART: &[u8] = sortie_core::include_plan!("../../../examples/embed_c/cart.plan");
-    let plan = Plan::load(CART).unwrap();
+    const GUARDED: &[u8] =
+        sortie_core::include_plan!("../../../tests/golden/plans/guarded-2.3.plan");
+    let plan = Plan::load(GUARDED).unwrap();
+    let guards = Guards::of_plan(GUARDED).unwrap();
     let schema = PolicySchema::of_plan(&plan).unwrap();
     let domain = Domain::new(&format!("served{}", std::process::id())).unwrap();
     let deadline = Duration::from_secs(3600);
@@ -295,7 +297,7 @@ fn neither_end_of_a_served_policy_calls_the_heap() {
             let mut server = PolicyServer::open(&domain, schema, &settings).unwrap();
             let mut heap_calls = Vec::with_capacity(WARM_UP + TICKS);
             let mut note = |_: &Served| heap_calls.push(HEAP_CALLS.get());
-            server.serve(&plan, &mut note, &stop).unwrap();
+            server.serve(&plan, guards, &mut note, &stop).unwrap();
             heap_calls[heap_calls.len() - 1] - heap_calls[WARM_UP]
         });
         let expected = Expected { inputs: &[("", 1)], outputs: &[("", 1)], actions: 0 };

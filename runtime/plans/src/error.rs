@@ -270,6 +270,12 @@ pub enum CompileError {
         /// What is wrong with them.
         reason: String,
     },
+    /// The guards of a plan cannot be used.
+    #[error("{reason}; compile the policy again, or copy its plan again")]
+    Guards {
+        /// What is wrong with them.
+        reason: String,
+    },
     /// What is said of a bundle's policy cannot be read.
     #[error("{reason}")]
     NoRoles {

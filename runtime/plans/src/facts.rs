@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize, Serializer};
 use sortie_bundle::hex;
 use sortie_core::internal::checksum::crc32c;
-use sortie_core::plan::{AlignedBytes, Header, Network, Plan, Proof, RobotFacts};
+use sortie_core::plan::{AlignedBytes, GuardFacts, Header, Network, Plan, Proof, RobotFacts};
 
 use crate::error::CompileError;
 use crate::policy::PolicyFacts;
@@ -90,6 +90,9 @@ pub struct PlanFacts {
     /// What a robot must know of its policy beside the numbers; none where the plan does not say.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub robot: Option<RobotFacts>,
+    /// What is let in and out; none where nothing is guarded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub guards: Option<GuardFacts>,
 }
 
 fn network_name<S: Serializer>(network: &Network, serializer: S) -> Result<S::Ok, S::Error> {
@@ -100,8 +103,9 @@ fn network_name<S: Serializer>(network: &Network, serializer: S) -> Result<S::Ok
 pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
     let flash_bytes = plan.len();
     let (policy, robot) = (Annex::of_plan(plan)?, RobotFacts::of_plan(plan));
-    let plan = AlignedBytes::copy_of(plan);
-    let plan = Plan::load(plan.as_slice())?;
+    let bytes = AlignedBytes::copy_of(plan);
+    let plan = Plan::load(bytes.as_slice())?;
+    let guards = guards_of(bytes.as_slice())?;
     let header = plan.header();
     let operators = operators(plan.program(), header.n_max as usize);
     Ok(PlanFacts {
@@ -123,7 +127,13 @@ pub fn inspect_plan(plan: &[u8]) -> Result<PlanFacts, CompileError> {
         operators,
         policy,
         robot,
+        guards,
     })
+}
+
+/// The guards of a plan.
+fn guards_of(plan: &[u8]) -> Result<Option<GuardFacts>, CompileError> {
+    GuardFacts::of_plan(plan).map_err(|error| CompileError::Guards { reason: error.to_string() })
 }
 
 // What stands behind the weights of a policy's plan for hosts and people: names, sizes, roles and metadata.
@@ -178,12 +188,15 @@ impl Annex {
     /// # Errors
     /// The plan has no header, or this is longer than a plan can say.
     pub fn replace_in(&self, plan: &mut Vec<u8>) -> Result<(), CompileError> {
-        let robot = RobotFacts::of_plan(plan);
-        let end = weights_end(plan)?;
-        plan.truncate(end);
+        let end = weights_end(plan)?.min(plan.len());
+        let behind = plan.split_off(end);
         self.append_to(plan)?;
         // What stands behind the annex stays there.
-        robot.iter().for_each(|robot| robot.append_to(plan));
+        let kept = match behind.strip_prefix(&MAGIC) {
+            Some(annex) => text(annex).and_then(|text| annex.get(8 + text.len()..)),
+            None => Some(behind.as_slice()),
+        };
+        plan.extend_from_slice(kept.unwrap_or_default());
         Ok(())
     }
 
@@ -226,7 +239,7 @@ fn broken(reason: &str) -> CompileError {
 
 #[cfg(test)]
 mod tests {
-    use sortie_core::plan::{HEADER_BYTES, VERSION};
+    use sortie_core::plan::{GuardedSizes, HEADER_BYTES, VERSION};
 
     use super::*;
     use crate::policy::{InputRole, OutputRole, PolicyInput, PolicyOutput, ValueType};
@@ -282,6 +295,9 @@ mod tests {
         first.append_to(&mut plan).expect("short enough");
         let robot = RobotFacts { joint_names: vec!["hip".to_owned()], ..RobotFacts::default() };
         robot.append_to(&mut plan);
+        let guards = GuardFacts { age_ms: Some(20.0), ..GuardFacts::default() };
+        let sizes = GuardedSizes { inputs: 8, outputs: 5, chooses: true };
+        guards.append_to(&mut plan, &sizes).expect("no flaw");
         let length = plan.len();
         let agreement = PolicyAgreement { observations: 3, outputs: Vec::new() };
         let second = Annex { agreement: Some(agreement), ..first.clone() };
@@ -289,6 +305,7 @@ mod tests {
         assert_eq!(Annex::of_plan(&plan).expect("whole"), Some(second));
         first.replace_in(&mut plan).expect("short enough");
         assert_eq!((plan.len(), RobotFacts::of_plan(&plan)), (length, Some(robot)));
+        assert_eq!(GuardFacts::of_plan(&plan), Ok(Some(guards)));
     }
 
     #[test]

@@ -81,6 +81,10 @@ impl Paired {
 pub(super) fn compile_bundle(arguments: &CompileArguments) -> Outcome {
     let refused =
         [("--observations", arguments.observations.is_some()), ("--npz", arguments.npz.is_some())];
+    if arguments.guards.is_some() || arguments.guard_inputs.is_some() {
+        let message = "guards are for a policy's ONNX file: agents of a bundle observe entities";
+        return Err(Failure::new(Exit::Usage, message));
+    }
     if let Some((flag, _)) = refused.into_iter().find(|(_, is_given)| *is_given) {
         let message =
             format!("`{flag}` is for an ONNX file: a bundle's agents play, and are recorded");

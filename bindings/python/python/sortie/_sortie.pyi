@@ -95,6 +95,12 @@ class Plan:
         normalises what it sees by itself, "none" where it does not, "unknown" where the plan does not say.
         """
 
+    @property
+    def guards(self) -> dict[str, Any] | None:
+        """What is let in and out of the policy, by the keys of the file for `sortie compile --guards`; None where the plan
+        has no guards. `sortie serve` guards by them, calls of this plan do not. Raises ValueError where they
+        may be damaged."""
+
 @final
 class Bundle:
     """A team: its agents, and the allocator that it learned.
@@ -198,8 +204,8 @@ class PolicyClient:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What happened since the start: answered, late (among these), fallbacks, silent (among these), overdue, foreign,
-        lost_states."""
+        """What happened since the start: answered, late and clamped (among these), fallbacks, silent and guarded (among
+        these), overdue, foreign, lost_states."""
 
     @property
     def schema(self) -> dict[str, Any]:
@@ -229,8 +235,24 @@ class Action:
     @property
     def reason(
         self,
-    ) -> Literal["foreign", "length", "non_finite", "no_available_action", "policy", "silence"] | None:
+    ) -> Literal["foreign", "length", "non_finite", "no_available_action", "policy", "silence", "guard"] | None:
         """Why it is the fallback; None where it is not."""
+
+    @property
+    def guard(
+        self,
+    ) -> (
+        Literal[
+            "input_range", "age", "output_not_finite", "output_range", "output_rate", "length", "undecided", "held"
+        ]
+        | None
+    ):
+        """The guard of the plan that tripped: for it this is the fallback, or, where `status` is no fallback, outputs were
+        brought back to their limits."""
+
+    @property
+    def guard_index(self) -> int | None:
+        """Which number of all inputs, or of all outputs, the guard is about; None where it is about none."""
 
     @property
     def action(self) -> int | None:

@@ -11,6 +11,9 @@ mod batch;
 mod draft;
 mod error;
 mod execution;
+#[cfg(feature = "std")]
+mod guard_facts;
+mod guards;
 mod header;
 mod in_place;
 mod needed;
@@ -19,8 +22,10 @@ mod program;
 mod robot;
 #[cfg(feature = "std")]
 mod robot_facts;
+mod sections;
 #[cfg(test)]
 mod tests;
+mod trip;
 
 #[cfg(any(test, feature = "alloc"))]
 pub use aligned::AlignedBytes;
@@ -28,6 +33,11 @@ pub use aligned::AlignedBytes;
 #[doc(hidden)]
 pub use draft::ProgramDraft;
 pub use error::{Part, PlanError};
+#[cfg(feature = "std")]
+pub use guard_facts::{
+    Beyond, GuardFacts, GuardedBy, GuardedOutputs, GuardedSizes, InputGuards, OutputGuards,
+};
+pub use guards::{GuardFallback, GuardState, Guards};
 pub use header::{ALIGNMENT, Header, Network, Profile, Proof, VERSION, arena_bytes};
 #[doc(hidden)]
 pub use header::{Checksums, HEADER_BYTES};
@@ -39,6 +49,7 @@ pub use program::{OPS, Ops, Program};
 pub use robot::{Fact, Normaliser, Robot};
 #[cfg(feature = "std")]
 pub use robot_facts::RobotFacts;
+pub use trip::{GuardError, Trip};
 
 #[doc(hidden)]
 pub use crate::ops::{LAYOUT_INT8, LAYOUT_TILES};

@@ -4,11 +4,9 @@
 
 use core::ffi::CStr;
 
-use super::Header;
+use super::sections::Sections;
 use crate::checksum::crc32c;
 
-/// What the text for hosts begins with, behind which a robot's facts stand.
-const ANNEX: [u8; 8] = *b"SORTIEAX";
 pub(super) const MAGIC: [u8; 8] = *b"SORTIERO";
 
 /// A list that is known of a robot.
@@ -63,12 +61,8 @@ pub struct Robot<'p> {
 impl<'p> Robot<'p> {
     /// Those of a plan's bytes; none where there are none, or where they are damaged.
     pub fn of_plan(plan: &'p [u8]) -> Option<Self> {
-        let (header, _) = Header::read(plan).ok()?;
-        let end = (header.weights_offset as usize).checked_add(header.weights_len as usize)?;
-        let behind = plan.get(end..)?;
-        let behind = section(behind, &ANNEX).map_or(behind, |(_, _, rest)| rest);
-        let (checksum, body, _) = section(behind, &MAGIC)?;
-        (crc32c(body) == checksum).then_some(Self { body })
+        let section = Sections::of_plan(plan).ok()?.find(|section| section.magic == MAGIC)?;
+        (crc32c(section.body) == section.checksum).then_some(Self { body: section.body })
     }
 
     /// Whether the network normalises what it sees.
@@ -108,13 +102,4 @@ impl<'p> Robot<'p> {
         }
         &[]
     }
-}
-
-/// Checksum and bytes of what begins like this, and what stands behind it.
-fn section<'p>(bytes: &'p [u8], magic: &[u8; 8]) -> Option<(u32, &'p [u8], &'p [u8])> {
-    let rest = bytes.strip_prefix(magic)?;
-    let (length, rest) = rest.split_first_chunk()?;
-    let (checksum, rest) = rest.split_first_chunk()?;
-    let (body, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
-    Some((u32::from_le_bytes(*checksum), body, rest))
 }

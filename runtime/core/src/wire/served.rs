@@ -6,6 +6,7 @@ use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 
 use super::{ABI, assert_layout};
 use crate::limits;
+use crate::plan::Trip;
 use crate::policy::DecideError;
 
 /// Head of an observation. The inputs follow as f32, one behind the other, then the availability mask as u16.
@@ -73,13 +74,13 @@ pub struct AnswerHead {
     pub outputs: u32,
     /// The server: its process id.
     pub server: u32,
-    /// Always 0.
-    pub unused: u32,
+    /// The number of the [`Trip`] that a guard of the plan made, or 0.
+    pub guard: u32,
 }
 
 assert_layout!(AnswerHead, 64, {
     magic: 0, abi: 4, flags: 6, schema: 8, session: 16, seq: 24, t_ns: 32, decide_ns: 40,
-    action: 44, status: 48, reason: 50, outputs: 52, server: 56, unused: 60,
+    action: 44, status: 48, reason: 50, outputs: 52, server: 56, guard: 60,
 });
 
 /// What became of an observation.
@@ -122,6 +123,8 @@ pub enum Reason {
     Policy = 5,
     /// No answer came before the deadline. Only a client says so.
     Silence = 6,
+    /// A guard of the plan tripped, or one that did is held: the head says which.
+    Guard = 7,
 }
 
 impl Reason {
@@ -135,6 +138,7 @@ impl Reason {
             Self::NoAvailableAction,
             Self::Policy,
             Self::Silence,
+            Self::Guard,
         ];
         all.into_iter().find(|reason| *reason as u16 == number)
     }
@@ -200,10 +204,17 @@ impl AnswerHead {
     pub const STATE_RESET: u16 = 1;
     /// Observations were missed since the last answer.
     pub const GAP: u16 = 2;
+    /// Outputs beyond their limits were brought back to them, first by the guard that `guard` names.
+    pub const CLAMPED: u16 = 4;
 
     /// Whether all flags of `flags` are set.
     pub fn has(&self, flags: u16) -> bool {
         self.flags & flags == flags
+    }
+
+    /// Which guard of the plan tripped.
+    pub fn trip(&self) -> Option<Trip> {
+        Trip::from_number(self.guard)
     }
 }
 

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use sortie_core::link::{Clock, Wake};
+use sortie_core::plan::Trip;
 use sortie_core::wire::{
     AnswerHead, AnswerStatus, MessageError, ObservationHead, Reason, ServedFormat,
 };
@@ -36,6 +37,10 @@ pub struct ClientCounters {
     pub late: u64,
     /// Fallbacks, the server's and its own.
     pub fallbacks: u64,
+    /// Fallbacks of the server where a guard tripped, or was held.
+    pub guarded: u64,
+    /// Answers of the policy that were brought back to their limits.
+    pub clamped: u64,
     /// Observations without any answer in time.
     pub silent: u64,
     /// Answers to earlier observations: they came too late.
@@ -53,6 +58,8 @@ pub struct Action<'a> {
     pub status: AnswerStatus,
     /// Why it is the fallback.
     pub reason: Reason,
+    /// The guard that tripped: for it this is the fallback, or these are outputs that were brought back to their limits.
+    pub guard: Option<Trip>,
     /// The action; `None` where the policy does not choose, or none is available.
     pub action: Option<u16>,
     /// All outputs, one behind the other.
@@ -60,6 +67,13 @@ pub struct Action<'a> {
     /// The server began within the episode with a new recurrent state: it was started anew. Said once, also where its
     /// first answer came too late.
     pub lost_state: bool,
+}
+
+/// What is made of an answer.
+struct Taken {
+    status: AnswerStatus,
+    reason: Reason,
+    guard: Option<Trip>,
 }
 
 /// A robot's session with whoever answers.
@@ -140,7 +154,7 @@ impl Asking {
             Ok(()) => self.await_answer(line, deadline_ns, goes_on)?,
             Err(_) => None,
         };
-        let (status, reason) = match answer {
+        let Taken { status, reason, guard } = match answer {
             Some(answer) => self.take(&answer, available),
             None => {
                 self.counters.silent += 1;
@@ -148,7 +162,8 @@ impl Asking {
             }
         };
         let lost_state = std::mem::take(&mut self.lost_state);
-        Ok(Action { status, reason, action: self.action, outputs: &self.outputs, lost_state })
+        let (action, outputs) = (self.action, self.outputs.as_slice());
+        Ok(Action { status, reason, guard, action, outputs, lost_state })
     }
 
     /// Waits for the answer to the newest observation, and copies its outputs.
@@ -208,7 +223,7 @@ impl Asking {
     }
 
     /// Does what the server says; what it refuses, or says in numbers that mean nothing, is the fallback.
-    fn take(&mut self, answer: &AnswerHead, available: &[u16]) -> (AnswerStatus, Reason) {
+    fn take(&mut self, answer: &AnswerHead, available: &[u16]) -> Taken {
         let reason = Reason::from_number(answer.reason).unwrap_or(Reason::Policy);
         match AnswerStatus::from_number(answer.status) {
             Some(AnswerStatus::Refused) | None => self.fall_back(reason, available),
@@ -220,16 +235,18 @@ impl Asking {
                 self.counters.fallbacks += u64::from(is_fallback);
                 self.counters.answered += u64::from(!is_fallback);
                 self.counters.late += u64::from(status == AnswerStatus::Late);
+                self.counters.guarded += u64::from(is_fallback && reason == Reason::Guard);
+                self.counters.clamped += u64::from(answer.has(AnswerHead::CLAMPED));
                 self.action = u16::try_from(answer.action).ok();
-                (status, reason)
+                Taken { status, reason, guard: answer.trip() }
             }
         }
     }
 
-    fn fall_back(&mut self, reason: Reason, available: &[u16]) -> (AnswerStatus, Reason) {
+    fn fall_back(&mut self, reason: Reason, available: &[u16]) -> Taken {
         self.counters.fallbacks += 1;
         self.action = self.fallback.apply(&mut self.outputs, self.action, available);
-        (AnswerStatus::Fallback, reason)
+        Taken { status: AnswerStatus::Fallback, reason, guard: None }
     }
 }
 
@@ -425,6 +442,32 @@ mod tests {
         let met = asking.counters();
         let want = ClientCounters { answered: 2, late: 1, fallbacks: 3, ..Default::default() };
         assert_eq!(met, want);
+    }
+
+    #[test]
+    fn the_guard_that_the_server_names_is_told_and_counted() {
+        let (mut asking, script) = (asking(30), Script::new());
+        let trip = Trip::OutputRate { index: 1 };
+        let mut seq = 0;
+        let mut ask = |status: AnswerStatus, reason: Reason, flags, action| {
+            seq += 1;
+            let (status, reason, guard) = (status as u16, reason as u16, trip.number());
+            let head =
+                AnswerHead { seq, status, reason, flags, guard, action, ..Default::default() };
+            script.come(seq, head);
+            let action = asking.decide(&script, &[&[0.5]], &[1, 0], &mut || true).unwrap();
+            (action.status, action.reason, action.guard)
+        };
+        let fallen = (AnswerStatus::Fallback, Reason::Guard);
+        assert_eq!(ask(fallen.0, fallen.1, 0, 0), (fallen.0, fallen.1, Some(trip)));
+        let clamped = (AnswerStatus::Answered, Reason::None);
+        let flags = AnswerHead::CLAMPED;
+        assert_eq!(ask(clamped.0, clamped.1, flags, 0), (clamped.0, clamped.1, Some(trip)));
+        // Its own fallback is nothing that a guard has made.
+        let own = (AnswerStatus::Fallback, Reason::Policy, None);
+        assert_eq!(ask(fallen.0, fallen.1, 0, 1), own);
+        let ClientCounters { answered, fallbacks, guarded, clamped, .. } = asking.counters();
+        assert_eq!((answered, fallbacks, guarded, clamped), (1, 2, 1, 1));
     }
 
     #[test]

@@ -3,6 +3,7 @@
 mod asking;
 mod client;
 mod decider;
+mod guarding;
 mod schema;
 mod server;
 

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use sortie_core::link::Clock;
-use sortie_core::plan::Plan;
+use sortie_core::plan::{Guards, Plan, Trip};
 use sortie_core::roles::{Counters, Identity, Presence};
 use sortie_core::wire::{
     AnswerHead, AnswerStatus, Command, ControlReq, ControlStatus, ObservationHead, ObservationView,
@@ -12,6 +12,7 @@ use sortie_core::wire::{
 };
 
 use super::decider::{Decider, Engine, PlanEngine};
+use super::guarding::{Guarding, Last, Undecided};
 use super::schema::ServedFacts;
 use super::{Fallback, PolicySchema};
 use crate::domain::{Domain, Lock, Membership};
@@ -87,13 +88,16 @@ impl PolicyServer {
         })
     }
 
-    /// Answers observations with `plan`, in this thread, until it is stopped. `observe` sees each of them.
+    /// Answers observations with `plan`, in this thread, until it is stopped. `observe` sees each of them. The guards are
+    /// those of the plan's bytes ([`Guards::of_plan`]), which nobody else reads: where it has some, none is no choice.
     ///
     /// # Errors
-    /// The plan is not that of the schema, the system refuses what the settings ask for, or shared memory fails.
+    /// The plan is not that of the schema, the guards are not about what it takes and gives, the system refuses what the
+    /// settings ask for, or shared memory fails.
     pub fn serve(
         &mut self,
         plan: &Plan<'_>,
+        guards: Option<Guards<'_>>,
         observe: &mut dyn FnMut(&Served),
         stop: &Stop,
     ) -> Result<ServeCounters, Error> {
@@ -101,19 +105,21 @@ impl PolicyServer {
             let problem = "the plan is not that of the schema".to_owned();
             return Err(Error::NotServed { problem });
         }
-        self.serve_with(&mut PlanEngine::new(plan), observe, stop)
+        self.serve_with(&mut PlanEngine::new(plan), guards, observe, stop)
     }
 
     /// The same with an engine that gives what the schema says.
     ///
     /// # Errors
-    /// The system refuses what the settings ask for, or shared memory fails.
+    /// The guards are not about what the schema says, the system refuses what the settings ask for, or shared memory fails.
     pub fn serve_with(
         &mut self,
         engine: &mut dyn Engine,
+        guards: Option<Guards<'_>>,
         observe: &mut dyn FnMut(&Served),
         stop: &Stop,
     ) -> Result<ServeCounters, Error> {
+        let guarding = Guarding::new(guards, &self.format)?;
         let mut told = ServerPresence::new(engine, self.format.schema());
         let mut decider = Decider::new(engine, &self.schema, self.settings.draw);
         decider.warm();
@@ -122,6 +128,7 @@ impl PolicyServer {
         let mut serving = Serving {
             clock: MonotonicClock,
             decider,
+            guarding,
             format: self.format,
             fallback: self.settings.fallback,
             client: None,
@@ -193,9 +200,17 @@ struct Client {
     seq: u64,
 }
 
+/// What the policy says, as far as guards let it through.
+struct Decided {
+    action: Option<u16>,
+    /// The guard that brought outputs back to their limits.
+    clamped: Option<Trip>,
+}
+
 struct Serving<'e, C = MonotonicClock> {
     clock: C,
     decider: Decider<'e>,
+    guarding: Guarding<'e>,
     format: ServedFormat,
     fallback: Fallback,
     client: Option<Client>,
@@ -219,7 +234,7 @@ impl<C: Clock> Serving<'_, C> {
                 let status = AnswerStatus::Refused;
                 let head = AnswerHead { session, seq, ..head(status, Reason::from(error), None) };
                 let wake_ns = woken_ns.saturating_sub(t_ns);
-                (head, Served { seq, status, wake_ns, decide_ns: 0 })
+                (head, Served { seq, status, trip: None, wake_ns, decide_ns: 0 })
             }
         };
         let head = AnswerHead { t_ns: self.clock.now_ns(), ..head };
@@ -230,20 +245,25 @@ impl<C: Clock> Serving<'_, C> {
     }
 
     fn decide(&mut self, observation: &ObservationView<'_>, woken_ns: u64) -> (AnswerHead, Served) {
-        let ObservationView { head: asked, inputs, available } = *observation;
-        let flags = self.meet(asked);
-        let decided = self.decider.decide(inputs, available, &mut self.next);
-        let (status, reason) = match decided {
-            Ok(action) => {
+        let ObservationView { head: asked, available, .. } = *observation;
+        let mut flags = self.meet(asked);
+        let wake_ns = woken_ns.saturating_sub(asked.t_ns);
+        let (status, reason, trip) = match self.try_to_decide(observation, wake_ns) {
+            Ok(Decided { action, clamped }) => {
                 self.action = action;
                 std::mem::swap(&mut self.outputs, &mut self.next);
                 self.counters.answered += 1;
-                (AnswerStatus::Answered, Reason::None)
+                self.counters.clamped += u64::from(clamped.is_some());
+                flags |= if clamped.is_some() { AnswerHead::CLAMPED } else { 0 };
+                (AnswerStatus::Answered, Reason::None, clamped)
             }
-            Err(reason) => {
-                self.action = self.fallback.apply(&mut self.outputs, self.action, available);
+            Err(undecided) => {
+                let last = Last { outputs: &mut self.outputs, action: self.action, available };
+                self.action = self.guarding.fall_back(&undecided, self.fallback, last);
                 self.counters.fallbacks += 1;
-                (AnswerStatus::Fallback, reason)
+                let trip = undecided.trip();
+                self.counters.guarded += u64::from(trip.is_some());
+                (AnswerStatus::Fallback, undecided.reason(), trip)
             }
         };
         let now_ns = self.clock.now_ns();
@@ -251,16 +271,29 @@ impl<C: Clock> Serving<'_, C> {
         self.counters.late += u64::from(is_late);
         let status = if is_late { AnswerStatus::Late } else { status };
         let decide_ns = now_ns.saturating_sub(woken_ns);
-        let wake_ns = woken_ns.saturating_sub(asked.t_ns);
         let ObservationHead { session, seq, .. } = *asked;
         let answer = AnswerHead {
             session,
             seq,
             flags,
+            guard: trip.map_or(0, Trip::number),
             decide_ns: u32::try_from(decide_ns).unwrap_or(u32::MAX),
             ..head(status, reason, self.action)
         };
-        (answer, Served { seq, status, wake_ns, decide_ns })
+        (answer, Served { seq, status, trip, wake_ns, decide_ns })
+    }
+
+    /// The policy's outputs in `next`, within what the guards let through.
+    fn try_to_decide(
+        &mut self,
+        observation: &ObservationView<'_>,
+        age_ns: u64,
+    ) -> Result<Decided, Undecided> {
+        let ObservationView { inputs, available, .. } = *observation;
+        self.guarding.check_inputs(inputs, age_ns)?;
+        let action = self.decider.decide(inputs, available, &mut self.next)?;
+        let clamped = self.guarding.check_outputs(&mut self.next)?;
+        Ok(Decided { action, clamped })
     }
 
     /// Begins what is new: a client, or an episode.
@@ -272,6 +305,7 @@ impl<C: Clock> Serving<'_, C> {
             self.counters.sessions += 1;
             self.outputs.fill(0.0);
             self.action = None;
+            self.guarding.begin();
         } else if let Some(steps @ 2..) = last.and_then(|client| seq.checked_sub(client.seq)) {
             self.counters.missed = self.counters.missed.saturating_add(steps - 1);
             flags |= AnswerHead::GAP;
@@ -386,8 +420,12 @@ pub struct ServeCounters {
     pub answered: u64,
     /// Answers of the policy after the deadline.
     pub late: u64,
-    /// Observations on which it could not decide.
+    /// Observations that were answered by the fallback.
     pub fallbacks: u64,
+    /// Those of them where a guard tripped, or was held.
+    pub guarded: u64,
+    /// Answers of the policy that were brought back to their limits.
+    pub clamped: u64,
     /// Messages that are no observations of this policy.
     pub refused: u64,
     /// Observations that newer ones overtook.
@@ -407,6 +445,8 @@ pub struct Served {
     pub seq: u64,
     /// What became of it.
     pub status: AnswerStatus,
+    /// The guard that tripped.
+    pub trip: Option<Trip>,
     /// From its sending to this process running.
     pub wake_ns: u64,
     /// The decision alone.
@@ -417,6 +457,7 @@ pub struct Served {
 mod tests {
     use std::cell::Cell;
 
+    use sortie_core::plan::{GuardFacts, GuardedSizes};
     use sortie_core::wire::ABI;
     use zerocopy::IntoBytes;
 
@@ -464,6 +505,7 @@ mod tests {
         Serving {
             clock,
             decider: Decider::new(engine, &schema(), None),
+            guarding: Guarding::new(None, &schema().format().unwrap()).unwrap(),
             format: schema().format().unwrap(),
             fallback: Fallback::Hold,
             client: None,
@@ -524,6 +566,51 @@ mod tests {
         assert_eq!(decide([1, 1]), (0, Some(Reason::None)));
         assert_eq!(decide([0, 1]), (1, Some(Reason::None)));
         assert_eq!(decide([0, 0]), (-1, Some(Reason::NoAvailableAction)));
+    }
+
+    /// Guards of the age alone, held for one further decision.
+    fn plan_of_fresh_observations() -> Vec<u8> {
+        let mut plan = include_bytes!("../../../../examples/embed_c/cart.plan").to_vec();
+        let guards = GuardFacts { hold: 1, age_ms: Some(40.0e-6), ..Default::default() };
+        let sizes = GuardedSizes { inputs: 1, outputs: 2, chooses: true };
+        guards.append_to(&mut plan, &sizes).unwrap();
+        plan
+    }
+
+    #[test]
+    fn an_observation_that_is_too_old_is_answered_by_the_fallback_in_the_same_tick() {
+        let clock = Held::default();
+        let mut engine = Slow(&clock);
+        let plan = plan_of_fresh_observations();
+        let guards = Guards::of_plan(&plan).unwrap();
+        let mut serving = serving(&mut engine, &clock);
+        serving.guarding = Guarding::new(guards, &serving.format).unwrap();
+        let trip = |trip: Trip| (AnswerStatus::Fallback, Reason::Guard, trip.number());
+        let answered = (AnswerStatus::Answered, Reason::None, 0);
+        let refused = (AnswerStatus::Fallback, Reason::NonFinite, 0);
+        for (seq, session, t_ns, number, told) in [
+            (1, 1, 59, -0.5, trip(Trip::Age)),
+            (2, 1, 60, -0.5, trip(Trip::Held)),
+            (3, 1, 60, -0.5, answered),
+            // What the policy itself refuses is held too.
+            (4, 1, 60, f32::NAN, refused),
+            (5, 1, 60, -0.5, trip(Trip::Held)),
+            (6, 1, 60, f32::NAN, refused),
+            // Another robot begins anew.
+            (1, 2, 60, -0.5, answered),
+        ] {
+            clock.0.set(100);
+            let deadline_ns = 110;
+            let asked = ObservationHead { session, seq, t_ns, deadline_ns, ..Default::default() };
+            let (inputs, available) = (&[number][..], &[1, 1][..]);
+            let observation = ObservationView { head: &asked, inputs, available };
+            let (answer, served) = serving.decide(&observation, 100);
+            let reason = Reason::from_number(answer.reason).unwrap();
+            assert_eq!((served.status, reason, answer.guard), told, "{session}, {seq}");
+            assert_eq!(answer.trip(), served.trip);
+        }
+        let ServeCounters { answered, fallbacks, guarded, clamped, .. } = serving.counters;
+        assert_eq!((answered, fallbacks, guarded, clamped), (2, 5, 3, 0));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! A policy that is served, and the programs that ask it.
 
+mod guarded;
 mod presence;
 
 use std::io::{BufRead, BufReader};
@@ -8,7 +9,7 @@ use std::sync::mpsc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use sortie_core::plan::{AlignedBytes, Plan};
+use sortie_core::plan::{AlignedBytes, Guards, Plan};
 use sortie_core::wire::{AnswerStatus, Reason};
 use sortie_ipc::{
     ClientSettings, Domain, Error, Expected, Fallback, PolicyClient, PolicySchema, PolicyServer,
@@ -65,7 +66,14 @@ struct Serving {
 impl Serving {
     fn start(domain: &Domain, plan: &'static [u8], settings: &ServeSettings) -> Self {
         Self::start_with(domain, plan, settings, move |server, stop| {
-            server.serve(&Plan::load(plan).unwrap(), &mut |_| (), stop).unwrap()
+            server
+                .serve(
+                    &Plan::load(plan).unwrap(),
+                    Guards::of_plan(plan).unwrap(),
+                    &mut |_| (),
+                    stop,
+                )
+                .unwrap()
         })
     }
 
@@ -98,7 +106,7 @@ pub(crate) fn play(role: &str, domain: &Domain, stop: &Stop) {
         let settings = settings(Fallback::Hold);
         let mut server = PolicyServer::open(domain, schema(CART), &settings).unwrap();
         println!("\n{READY}");
-        server.serve(&Plan::load(CART).unwrap(), &mut |_| (), stop).unwrap();
+        server.serve(&Plan::load(CART).unwrap(), None, &mut |_| (), stop).unwrap();
         return;
     }
     let mut client = PolicyClient::connect(domain, &CART_SHAPE, &PATIENT).unwrap();
@@ -341,7 +349,7 @@ fn a_state_that_is_lost_is_said_also_where_the_first_answer_comes_too_late() {
     let next = Serving::start_with(&domain, CART, &settings, move |server, stop| {
         may_serve.recv().unwrap();
         let plan = Plan::load(CART).unwrap();
-        server.serve(&plan, &mut |served| answered.send(served.seq).unwrap(), stop).unwrap()
+        server.serve(&plan, None, &mut |served| answered.send(served.seq).unwrap(), stop).unwrap()
     });
     client.set_deadline(Duration::ZERO);
     let silent = client.decide(&[&[0.5]], &[]).unwrap();

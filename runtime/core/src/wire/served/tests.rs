@@ -152,6 +152,6 @@ fn numbers_name_what_they_stand_for() {
         let status = AnswerStatus::from_number(number);
         assert_eq!(status.map(|status| status as u16), (number < 4).then_some(number));
         let reason = Reason::from_number(number);
-        assert_eq!(reason.map(|reason| reason as u16), (number < 7).then_some(number));
+        assert_eq!(reason.map(|reason| reason as u16), (number < 8).then_some(number));
     }
 }

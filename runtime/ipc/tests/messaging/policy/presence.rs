@@ -137,7 +137,7 @@ fn another_engine_decides_behind_the_same_schema_and_is_told_apart() {
     let _watchdog = Watchdog::new();
     let domain = toy::domain();
     let serving = Serving::start_with(&domain, CART, &settings(Fallback::Zero), |server, stop| {
-        server.serve_with(&mut Difference, &mut |_| (), stop).unwrap()
+        server.serve_with(&mut Difference, None, &mut |_| (), stop).unwrap()
     });
     let mut client = PolicyClient::connect(&domain, &CART_SHAPE, &PATIENT).unwrap();
     let mut force = |position: f32| client.decide(&[&[position]], &[]).unwrap().outputs[0];

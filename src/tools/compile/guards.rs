@@ -1,0 +1,93 @@
+//! Guards that `--guards` and `--guard-inputs` ask for, written behind a policy's plan.
+
+use std::path::Path;
+
+use sortie_cli::failure::{Exit, Failure};
+use sortie_cli::guards::read_guards;
+use sortie_cli::npz::{self, RecordedInputs};
+use sortie_core::plan::{AlignedBytes, GuardFacts, GuardedSizes, InputGuards, Network, Plan};
+use sortie_ipc::PolicySchema;
+use sortie_plans::{Annex, CompileError};
+
+use super::CompileArguments;
+
+/// What the file says; none where no guards are asked for.
+///
+/// # Errors
+/// The file cannot be read, or ranges of inputs are asked for twice, or of nothing.
+pub(super) fn asked(arguments: &CompileArguments) -> Result<Option<GuardFacts>, Failure> {
+    let facts = arguments.guards.as_deref().map(read_guards).transpose()?;
+    if arguments.guard_inputs.is_none() {
+        return Ok(facts);
+    }
+    if arguments.npz.is_none() {
+        let message =
+            "`--guard-inputs` takes ranges from what was recorded: name it with `--npz FILE`";
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let facts = facts.unwrap_or_default();
+    if !facts.inputs.is_empty() {
+        let message = "`--guard-inputs` takes the ranges of inputs from what was recorded: leave `inputs` of the file \
+                       out, or the flag";
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    Ok(Some(facts))
+}
+
+/// Writes the guards behind `written`, which is `plan` as it will stand in the file.
+///
+/// # Errors
+/// The plan is no policy's, what was recorded does not fit, or the guards have a flaw.
+pub(super) fn append(
+    arguments: &CompileArguments,
+    plan: &[u8],
+    written: &mut Vec<u8>,
+) -> Result<(), Failure> {
+    let Some(mut facts) = asked(arguments)? else { return Ok(()) };
+    let bytes = AlignedBytes::copy_of(plan);
+    let loaded = Plan::load(bytes.as_slice()).map_err(CompileError::from)?;
+    if loaded.check_network(Network::Policy).is_err() {
+        let message =
+            "guards are for policies over inputs of fixed sizes: agents of a team observe entities";
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let sizes = GuardedSizes {
+        inputs: loaded.inputs().sum(),
+        outputs: loaded.outputs().sum(),
+        chooses: PolicySchema::of_plan(&loaded)?.actions != 0,
+    };
+    if let (Some(margin), Some(file)) = (arguments.guard_inputs, &arguments.npz) {
+        facts.inputs = recorded(file, plan, sizes.inputs, margin)?;
+    }
+    facts.append_to(written, &sizes).map_err(|flaw| match &arguments.guards {
+        Some(file) => Failure::new(Exit::BadData, flaw).within(file.display()),
+        None => Failure::new(Exit::BadData, flaw),
+    })
+}
+
+/// Lowest and highest of what was recorded of each input, and a margin.
+fn recorded(file: &Path, plan: &[u8], inputs: usize, margin: f32) -> Result<InputGuards, Failure> {
+    let bad = |reason: String| Failure::new(Exit::BadData, reason).within(file.display());
+    let annex = Annex::of_plan(plan)?.ok_or_else(|| bad("the plan names no inputs".to_owned()))?;
+    let arrays = npz::read(file)?;
+    let cases = RecordedInputs::of(&annex.facts, &arrays).map_err(bad)?;
+    let mut seen = InputGuards::unseen(inputs);
+    for case in 0..cases.count {
+        seen.see(cases.case(case).inputs.into_iter().flatten());
+    }
+    seen.widen(margin);
+    let limits = || seen.lowest.iter().zip(&seen.highest);
+    let is_limit = |(lowest, highest): (&f32, &f32)| lowest.is_finite() && highest.is_finite();
+    match limits().position(|range| !is_limit(range)) {
+        Some(at) => Err(bad(format!("input {at} has no finite range, which guards need"))),
+        None => Ok(seen),
+    }
+}
+
+/// A share of a range's width.
+pub(super) fn margin(text: &str) -> Result<f32, String> {
+    match text.parse() {
+        Ok(margin) if (0.0..=1.0e6).contains(&margin) => Ok(margin),
+        _ => Err("expected a share of the width, 0 or more".to_owned()),
+    }
+}
