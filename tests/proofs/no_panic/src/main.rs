@@ -19,7 +19,7 @@ use sortie_core::options::{
     Affordance, MILESTONES, Milestone, OptionPolicy, OptionRules, PictureShape, PlanNetworks,
     Pursuit,
 };
-use sortie_core::plan::{Aligned, Given, Plan, arena_bytes};
+use sortie_core::plan::{Aligned, Given, GuardState, Guards, Plan, Trip, arena_bytes};
 use sortie_core::wire::{AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, FrameView};
 use sortie_core::{
     AllocateError, AllocationState, Allocator, EntityMask, NO_ACTION, Observation, PlanPolicy,
@@ -32,6 +32,7 @@ const INT8: &[u8] = include_plan!("../../../golden/plans/agent-int8-2.2.plan");
 const TEAM_VALUE: &[u8] = include_plan!("../../../golden/plans/team-value-2.0.plan");
 
 const POLICY: &[u8] = include_plan!("../../../golden/plans/policy-2.0.plan");
+const GUARDED: &[u8] = include_plan!("../../../golden/plans/guarded-2.3.plan");
 const CONTROLLER: &[u8] = include_plan!("../../../../models/crafting-iron/agent-controller.plan");
 const META: &[u8] = include_plan!("../../../../models/crafting-iron/agent-meta.plan");
 const AFFORDANCE: &[u8] = include_plan!("../../../../models/crafting-iron/agent-affordance.plan");
@@ -53,6 +54,7 @@ fn everything() -> bool {
         && propose() == Some(true)
         && point() == Some(true)
         && respond() == Some(true)
+        && guard() == Some(true)
         && run_options() == Some(true)
         && read_messages() == Some(true)
         && links::over_a_line() == Some(true)
@@ -170,6 +172,22 @@ fn respond() -> Option<bool> {
     let given = Given { inputs, available: black_box(available.as_slice()) };
     let decision = plan.choose(&mut arena.0, &given, &mut []).ok()?;
     Some(decision.action == 1 && output.get(1) == Some(&decision.utility))
+}
+
+/// Guards let one input and one output through, and answer for others.
+fn guard() -> Option<bool> {
+    let guards = Guards::of_plan(black_box(GUARDED)).ok()??;
+    guards.check_fits(black_box(1), black_box(1)).ok()?;
+    let (mut room, mut output) = ([0.0], [0.25]);
+    let mut state = GuardState::new(black_box(room.as_mut_slice()));
+    let inputs = black_box([0.5]);
+    guards.check_inputs(&state, black_box(inputs.as_slice()), black_box(Some(1))).ok()?;
+    let outputs = black_box(output.as_mut_slice());
+    guards.check_outputs(&mut state, outputs).ok()?;
+    let beyond = black_box([f32::NAN]);
+    let trip = guards.check_inputs(&state, black_box(beyond.as_slice()), None).err()?;
+    guards.fall_back(&mut state, trip, outputs);
+    Some(trip == Trip::InputRange { index: 0 } && *outputs.first()? == 0.0)
 }
 
 /// The best of some proposals places both agents.
