@@ -221,7 +221,7 @@ impl Stage {
         self.team.agent(&mut self.cursors[1]).send_action(&action).unwrap();
     }
 
-    fn last(&self) -> (u32, u32, u64) {
+    fn last(&self) -> (u32, u16, u64) {
         let header = self.frames.last().unwrap();
         (header.episode, header.flags, header.tick & u64::from(u32::MAX))
     }

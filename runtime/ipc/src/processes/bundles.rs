@@ -5,7 +5,7 @@ use sortie_core::wire::{
     ActionMsg, AllocMsg, ControlReq, ControlStatus, StatMsg, SwapMoment, SwapOrder, TurnBack,
 };
 
-use crate::domain::{DomainFacts, Membership};
+use crate::domain::{DomainFacts, Membership, TeamBundles};
 use crate::error::Error;
 
 /// Letters of an id in a request.
@@ -50,8 +50,7 @@ impl Bundles {
         }
         // What would be turned back to makes room.
         self.watch = None;
-        self.facts.bundles_mut().prepare(request.text());
-        stated(membership.state(&self.facts))
+        told(self.restate(membership, |bundles| bundles.prepare(request.text())))
     }
 
     /// Changes to the bundle that was prepared, whose id the request says.
@@ -73,8 +72,7 @@ impl Bundles {
         if order.generation != generation || role.generation() != generation {
             return ControlStatus::Outdated;
         }
-        self.facts.bundles_mut().change(model);
-        let status = stated(membership.state(&self.facts));
+        let status = told(self.restate(membership, |bundles| bundles.change(model)));
         if status == ControlStatus::Done {
             role.change_generation(self.generation(), order.moment);
             let SwapOrder { back, watched_ticks: ticks, .. } = order;
@@ -84,18 +82,28 @@ impl Bundles {
     }
 
     /// Before the next tick: turns back where the last one gave cause to.
-    pub(super) fn look(
-        &mut self,
-        role: &mut WorldRole,
-        membership: &Membership,
-    ) -> Result<(), Error> {
-        if self.watch.is_some_and(|watch| watch.is_tripped) {
+    pub(super) fn look(&mut self, role: &mut WorldRole, membership: &Membership) {
+        if !self.watch.is_some_and(|watch| watch.is_tripped) {
+            return;
+        }
+        let before = self.facts.bundles().other().model.clone();
+        // Where it cannot be written down now, the next tick tries again.
+        if self.restate(membership, |bundles| bundles.change(&before)).is_ok() {
             self.watch = None;
-            let before = self.facts.bundles().other().model.clone();
-            self.facts.bundles_mut().change(&before);
-            membership.state(&self.facts)?;
             role.change_generation(self.generation(), SwapMoment::NextTick);
         }
+    }
+
+    /// Writes a change down, and only then holds by it.
+    fn restate(
+        &mut self,
+        membership: &Membership,
+        change: impl FnOnce(&mut TeamBundles),
+    ) -> Result<(), Error> {
+        let mut facts = self.facts.clone();
+        change(facts.bundles_mut());
+        membership.state(&facts)?;
+        self.facts = facts;
         Ok(())
     }
 
@@ -114,8 +122,8 @@ impl Bundles {
     }
 }
 
-fn stated(written: Result<(), Error>) -> ControlStatus {
-    // Where nothing can be written down, nothing changes.
+/// Where nothing can be written down, nothing changes.
+fn told(written: Result<(), Error>) -> ControlStatus {
     written.map_or(ControlStatus::NotSupported, |()| ControlStatus::Done)
 }
 
@@ -142,7 +150,7 @@ impl Watch {
         let fell_back = self.back.on_fallback && says(ActionMsg::FALLBACK);
         let was_late =
             self.back.on_late && (says(ActionMsg::LATE) || expected.into_iter().any(is_silent));
-        self.is_tripped = fell_back || was_late;
+        self.is_tripped |= fell_back || was_late;
     }
 }
 

@@ -233,7 +233,7 @@ impl Process for Playing<'_, '_> {
 
     fn poll(&mut self, link: &mut IoxWorld) -> Result<Poll, Error> {
         let Self { role, world, observer, bundles, membership, .. } = self;
-        bundles.look(role, membership)?;
+        bundles.look(role, membership);
         let mut observer = bundles.watching(role, &mut **observer);
         let polled = role.poll(link, &mut **world, &mut observer).map_err(into_error)?;
         if let Some(leader) = self.role.take_silent_leader() {
