@@ -4,6 +4,7 @@ mod figures;
 mod onlooker;
 mod picture;
 pub(crate) mod process;
+mod registry;
 mod report;
 mod team;
 pub(crate) mod up;

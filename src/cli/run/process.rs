@@ -6,12 +6,9 @@ use clap::{Args, ValueEnum};
 use sortie_bundle::{Bundle, FallbackAllocation};
 use sortie_core::Allocator;
 use sortie_core::roles::Counters;
-use sortie_core::wire::ControlStatus;
-use sortie_ipc::{
-    AllocatorProcess, Domain, DomainContract, Loaded, LoadedModel, ProcessSettings, Registry,
-    RunnerProcess, Stop, SwappedPolicy,
-};
+use sortie_ipc::{AllocatorProcess, Domain, DomainContract, ProcessSettings, RunnerProcess, Stop};
 
+use super::registry::{policies, registry};
 use super::team::Scheduling;
 use super::world::{Playing, WorldOfTeam, play};
 use crate::allocation::{Allocation, AllocatorChoice};
@@ -19,7 +16,6 @@ use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::{beside, bundle_name, domain_contract, is_bundle_name, model_id};
 use crate::environment::entry_of;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::tell;
 use crate::owned;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::stop_on_signals;
@@ -208,44 +204,4 @@ fn in_use(domain: &Domain, named: &Path, mixes_teams: bool) -> Result<PathBuf, F
     let changed =
         name.filter(|name| is_bundle_name(name) && bundle_name(named).as_ref() != Some(name));
     Ok(changed.map_or_else(|| named.to_path_buf(), |name| beside(named, &name)))
-}
-
-/// The policies of bundles beside that of a process.
-pub(super) fn policies(
-    folder: &Path,
-    trust: &TrustArguments,
-    backend: Backend,
-) -> Result<Registry<SwappedPolicy>, Failure> {
-    registry(folder, trust, move |bundle| {
-        DeployedPolicy::open(bundle, backend).and_then(owned::policy)
-    })
-}
-
-/// The bundles beside that of a process, which take the same signatures; `load` makes of one what it works with.
-fn registry<M: Send + 'static>(
-    folder: &Path,
-    trust: &TrustArguments,
-    load: impl Fn(&Bundle) -> Result<M, Failure> + Send + 'static,
-) -> Result<Registry<M>, Failure> {
-    let (folder, trust) = (folder.to_path_buf(), trust.clone());
-    let load = move |name: &str| -> Loaded<M> {
-        let refused = |failure: Failure| {
-            tell!("warning: `{name}` is not loaded: {}", failure.message);
-            ControlStatus::BadArgument
-        };
-        if !is_bundle_name(name) {
-            return Err(ControlStatus::BadArgument);
-        }
-        let bundle = trust.open_bundle(&beside(&folder, name)).map_err(refused)?;
-        let model = load(&bundle).map_err(refused)?;
-        let limits = &bundle.manifest().limits;
-        Ok(LoadedModel {
-            contract: bundle.contract().hash(),
-            id: model_id(&bundle),
-            entities_max: limits.n_max.into(),
-            tasks_max: limits.t_max.into(),
-            model,
-        })
-    };
-    Ok(Registry::start(load)?)
 }

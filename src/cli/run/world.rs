@@ -13,7 +13,7 @@ use sortie_ipc::{
 };
 
 use super::onlooker::{Display, Ledger, Onlooker};
-use super::process::policies;
+use super::registry::policies;
 use super::report::{Manner, Setup, report};
 use super::team::Absentees;
 use super::{positive_seconds, rate};
