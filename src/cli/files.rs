@@ -27,6 +27,7 @@ pub enum Kind {
     Page,
     Observations,
     Episode,
+    Certificate,
 }
 
 impl Kind {
@@ -36,6 +37,7 @@ impl Kind {
             Self::Page => b"<!doctype html>",
             Self::Observations => b"SORTIEOB",
             Self::Episode => b"{",
+            Self::Certificate => b"# Decisions of ",
         }
     }
 
@@ -45,6 +47,7 @@ impl Kind {
             Self::Page => "a page",
             Self::Observations => "a file of observations",
             Self::Episode => "a recorded episode",
+            Self::Certificate => "a certificate",
         }
     }
 }

@@ -25,11 +25,12 @@ use crate::output::tell;
 const FILE: &str = "sortie-tools";
 
 /// The verbs that it has beside those of this crate, and what each is for.
-pub const VERBS: [(&str, &str); 4] = [
+pub const VERBS: [(&str, &str); 5] = [
     ("compile", "Compile an ONNX network to a plan for the runtime core"),
     ("verify", "Compare plans, tract, onnxruntime and recorded answers on inputs of all kinds"),
     ("bench", "Measure latency and throughput, ours and the peers' alternating in one run"),
     ("firmware", "Run a plan on an emulated microcontroller: bits, instructions, flash, RAM"),
+    ("certify", "Hold all decisions to one hash, on this machine and on emulated microcontrollers"),
 ];
 
 /// What a program has that is `sortie-tools`.

@@ -4,7 +4,9 @@
 //! They take minutes to compile. `sortie` does without, and starts this program in its place where they are needed.
 
 mod bench;
+mod certify;
 mod compile;
+mod document;
 mod firmware;
 mod verify;
 
@@ -18,6 +20,7 @@ use sortie_compiler::LinkedEngines;
 use sortie_plans::Engines;
 
 use bench::BenchArguments;
+use certify::CertifyArguments;
 use compile::CompileArguments;
 use firmware::FirmwareArguments;
 use verify::VerifyArguments;
@@ -47,6 +50,7 @@ impl Tools for Linked {
             "verify" => VerifyArguments::augment_args(command),
             "bench" => BenchArguments::augment_args(command),
             "firmware" => FirmwareArguments::augment_args(command),
+            "certify" => CertifyArguments::augment_args(command),
             _ => command,
         }
     }
@@ -57,6 +61,7 @@ impl Tools for Linked {
             "verify" => verify::run(&read(matches)?),
             "bench" => bench::run(&read(matches)?),
             "firmware" => firmware::run(&read(matches)?),
+            "certify" => certify::run(&read(matches)?),
             _ => Err(Failure::new(Exit::Usage, format!("`{verb}` is no verb"))),
         }
     }

@@ -26,6 +26,8 @@ use sortie_plans::{
     PolicyOptions, agreement, read_onnx,
 };
 
+pub(crate) use self::golden::distances;
+
 /// What the reference evaluator is called in reports.
 const DOUBLE: &str = "double precision";
 

@@ -29,13 +29,14 @@ fn wrong_files(folder: &Path) {
 fn every_wrong_file_has_the_code_that_is_documented() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     wrong_files(folder.path());
-    let of_bundles: [&[&str]; 7] = [
+    let of_bundles: [&[&str]; 8] = [
         &["run", "@"],
         &["up", "@"],
         &["eval", "@"],
         &["verify", "@"],
         &["bench", "decision", "@"],
         &["firmware", "@", "--board", "cortex-m4f"],
+        &["certify", "@", "--on", "host"],
         &["view", "@", "-o", "@.html"],
     ];
     let of_runs: [&[&str]; 3] =
@@ -47,7 +48,11 @@ fn every_wrong_file_has_the_code_that_is_documented() {
         &["train", "alma", "--config", "@"],
         &["bench", "policy", "@"],
     ];
-    let of_plans: [&[&str]; 2] = [&["inspect", "@"], &["firmware", "@", "--board", "cortex-m4f"]];
+    let of_plans: [&[&str]; 3] = [
+        &["inspect", "@"],
+        &["firmware", "@", "--board", "cortex-m4f"],
+        &["certify", "@", "--on", "host"],
+    ];
     let table: [(&str, i32, &[&[&str]]); 9] = [
         ("none", MISSING, &of_bundles),
         ("none", MISSING, &of_runs),

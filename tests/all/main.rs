@@ -2,6 +2,7 @@
 
 mod arguments;
 mod bad_input;
+mod certify;
 mod compare;
 mod control;
 mod dependencies;

@@ -9,6 +9,7 @@ use serde::Serialize;
 use sortie_cli::failure::{Exit, Failure};
 
 use super::toolchain::started;
+use crate::document::{Columns, Document, Row};
 
 /// What a plan needed on a board, and what it came to. Sizes are bytes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -85,19 +86,22 @@ impl Ram {
 }
 
 /// The columns of the table.
-const COLUMNS: [&str; 11] = [
-    "board",
-    "bundle",
-    "profile",
-    "compiler",
-    "instructions, most",
-    "mean",
-    "code",
-    "plan",
-    "RAM",
-    "of it stack",
-    "hash",
-];
+pub(crate) const COLUMNS: Columns = Columns {
+    names: &[
+        "board",
+        "bundle",
+        "profile",
+        "compiler",
+        "instructions, most",
+        "mean",
+        "code",
+        "plan",
+        "RAM",
+        "of it stack",
+        "hash",
+    ],
+    keys: KEYS,
+};
 /// Columns that say what a row is of.
 const KEYS: usize = 3;
 /// Columns of instructions, and of bytes, with the percentage that they may grow by.
@@ -105,15 +109,8 @@ const HELD: [(std::ops::Range<usize>, u64); 2] = [(4..6, 1), (6..10, 3)];
 /// The same where another compiler built the program.
 const OF_ANOTHER_COMPILER: u64 = 10;
 
-/// A row of the table.
-type Row = Vec<String>;
-
 /// A Markdown document with a table of figures.
-pub(crate) struct Recorded {
-    before: String,
-    rows: Vec<Row>,
-    after: String,
-}
+pub(crate) struct Recorded(pub(crate) Document);
 
 /// What a table says about figures.
 #[derive(Debug, PartialEq)]
@@ -140,41 +137,15 @@ impl Figures {
 }
 
 impl Recorded {
-    /// Finds the table of a document; where there is none, one is to be written behind its last line.
-    pub(crate) fn read(document: &str) -> Self {
-        let header = line(&COLUMNS);
-        let Some((before, rest)) = document.split_once(&header) else {
-            return Self { before: document.to_owned(), rows: Vec::new(), after: String::new() };
-        };
-        let cells = |line: &str| {
-            line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect()
-        };
-        let is_row = |line: &&str| line.starts_with('|');
-        let table = rest.split_inclusive('\n').take_while(is_row).map(str::len).sum();
-        let (table, after) = rest.split_at(table);
-        let rows: Vec<Row> = table.lines().skip(1).map(cells).collect();
-        let rows = rows.into_iter().filter(|row| row.len() == COLUMNS.len()).collect();
-        Self { before: before.to_owned(), rows, after: after.to_owned() }
-    }
-
     /// Puts figures in the place of those of the same plan on the same board.
     pub(crate) fn put(&mut self, figures: &Figures) {
-        let row = figures.row();
-        self.rows.retain(|other| !is_same(other, &row));
-        self.rows.push(row);
-        self.rows.sort();
-    }
-
-    pub(crate) fn write(&self) -> String {
-        let rule = line(&COLUMNS.map(|_| "---"));
-        let rows: String = self.rows.iter().map(|row| line(row)).collect();
-        [&self.before, &line(&COLUMNS), &rule, &rows, &self.after].map(String::as_str).concat()
+        self.0.put(figures.row());
     }
 
     /// Compares figures with the recorded ones.
     pub(crate) fn judge(&self, figures: &Figures) -> Verdict {
         let row = figures.row();
-        let Some(recorded) = self.rows.iter().find(|other| is_same(other, &row)) else {
+        let Some(recorded) = self.0.same(&row) else {
             return Verdict::New;
         };
         let is_same_compiler = recorded.get(KEYS) == row.get(KEYS);
@@ -184,7 +155,7 @@ impl Recorded {
                 let number = |row: &Row| row.get(column).and_then(|cell| cell.parse::<u64>().ok());
                 let (Some(was), Some(is)) = (number(recorded), number(&row)) else { continue };
                 if 100 * is > (100 + percent) * was {
-                    let name = COLUMNS.get(column).copied().unwrap_or_default();
+                    let name = COLUMNS.names.get(column).copied().unwrap_or_default();
                     let said = format!("{name}: {is}, recorded {was}, more than {percent} % above");
                     return if is_same_compiler {
                         Verdict::Broken(said)
@@ -201,16 +172,6 @@ impl Recorded {
             _ => Verdict::Held,
         }
     }
-}
-
-/// Whether two rows are of the same plan on the same board.
-fn is_same(one: &Row, other: &Row) -> bool {
-    one.iter().zip(other).take(KEYS).all(|(one, other)| one == other)
-}
-
-fn line(cells: &[impl AsRef<str>]) -> String {
-    let cells: String = cells.iter().map(|cell| format!(" {} |", cell.as_ref())).collect();
-    format!("|{cells}\n")
 }
 
 /// How often an emulator is asked whether it has ended.
@@ -290,16 +251,20 @@ mod tests {
         }
     }
 
+    fn read(document: &str) -> Recorded {
+        Recorded(Document::read(document, COLUMNS))
+    }
+
     #[test]
     fn a_table_is_read_as_it_was_written() {
-        let mut recorded = Recorded::read("# Figures\n\ntext\n");
+        let mut recorded = read("# Figures\n\ntext\n");
         assert_eq!(recorded.judge(&figures()), Verdict::New);
         recorded.put(&Figures { board: "rv32imc".to_owned(), ..figures() });
         recorded.put(&Figures { hash: "1".to_owned(), ..figures() });
         recorded.put(&figures());
-        let document = recorded.write() + "\nmore text\n";
-        let again = Recorded::read(&document);
-        assert_eq!((again.rows.len(), again.write()), (2, document.clone()));
+        let document = recorded.0.write() + "\nmore text\n";
+        let again = read(&document);
+        assert_eq!(again.0.write(), document.clone());
         assert!(document.starts_with("# Figures\n\ntext\n| board | bundle |"), "{document}");
         assert!(document.contains("| cortex-m0 | team | int8 | 1.96.0 | 2000 | 1000 | 1000 | 5000 | 1000 | 200 | 00ff |\n| rv32imc |"));
         assert_eq!(again.judge(&figures()), Verdict::Held);
@@ -307,7 +272,7 @@ mod tests {
 
     #[test]
     fn figures_are_held_to_what_was_recorded() {
-        let mut recorded = Recorded::read("");
+        let mut recorded = read("");
         recorded.put(&figures());
         let instructions = |most, mean| Figures {
             instructions: Instructions { most, most_visible: 9, mean },

@@ -19,12 +19,14 @@ use sortie_cli::policy::PlanProfile;
 use sortie_cli::terminal;
 use sortie_core::plan::Profile;
 
-use self::figures::{Figures, Flash, Instructions, Ram, Recorded, Verdict};
-use self::subject::{Named, Subject};
+use self::figures::{COLUMNS, Flash, Instructions, Ram, Recorded, Told, Verdict};
 use self::team::TeamArguments;
-use self::toolchain::{Program, Toolchain};
-use figures::Told;
-use toolchain::Board;
+use self::toolchain::Program;
+use crate::document::Document;
+
+pub(crate) use self::figures::Figures;
+pub(crate) use self::subject::{Named, Subject};
+pub(crate) use self::toolchain::{Board, Toolchain};
 
 /// Run a bundle's policy, or a plan, on an emulated microcontroller, and print what it needs there
 ///
@@ -119,7 +121,13 @@ pub(crate) fn run(arguments: &FirmwareArguments) -> Outcome {
     if arguments.read {
         subject = subject.read()?;
     }
-    let figures = measure(arguments, &subject, &sources, &toolchain)?;
+    let bench = Bench {
+        board: arguments.board,
+        sources: &sources,
+        toolchain: &toolchain,
+        limit: Duration::from_secs(arguments.limit),
+    };
+    let figures = measure(&bench, &subject, arguments.common)?;
     let equal = figures.hash == figures.host_hash;
     if arguments.common.json {
         print_json(&Report { figures: &figures, equal });
@@ -149,14 +157,23 @@ fn subject(arguments: &FirmwareArguments, named: &Named) -> Result<Subject, Fail
     }
 }
 
+/// A board, and what builds and runs programs for it.
+pub(crate) struct Bench<'a> {
+    pub(crate) board: Board,
+    pub(crate) sources: &'a Path,
+    pub(crate) toolchain: &'a Toolchain,
+    /// After which a board that does not end is given up.
+    pub(crate) limit: Duration,
+}
+
 /// Builds the program, and runs it on the board.
-fn measure(
-    arguments: &FirmwareArguments,
+pub(crate) fn measure(
+    bench: &Bench<'_>,
     subject: &Subject,
-    sources: &Path,
-    toolchain: &Toolchain,
+    common: Common,
 ) -> Result<Figures, Failure> {
-    let machine = arguments.board.machine();
+    let Bench { board, sources, toolchain, limit } = *bench;
+    let machine = board.machine();
     let folder = tempfile::tempdir()
         .map_err(|error| Failure::file(Path::new("a temporary folder"), &error))?;
     let cases = folder.path().join("cases.bin");
@@ -166,17 +183,17 @@ fn measure(
         fs::write(&path, &*machine.laid_out(content)?)
             .map_err(|error| Failure::file(&path, &error))?;
     }
-    let spinner = terminal::spinner(arguments.common);
+    let spinner = terminal::spinner(common);
     spinner.set_message("building the firmware");
     let program = Program { name: subject.program, features: &[], files: &subject.files };
     let program = toolchain.build(&machine, sources, &program)?;
     spinner.set_message("running it on the board");
     let mut emulator = toolchain.emulator(&machine, &program);
     emulator.arg("-nographic").current_dir(folder.path());
-    let told = Told::by(emulator, Duration::from_secs(arguments.limit))?;
+    let told = Told::by(emulator, limit)?;
     spinner.finish_and_clear();
     Ok(Figures {
-        board: arguments.board.name(),
+        board: board.name(),
         bundle: subject.name.clone(),
         profile: subject.profile.name(),
         compiler: toolchain.version.clone(),
@@ -190,7 +207,7 @@ fn measure(
 }
 
 /// The folder of the firmware's sources, which this program does not hold.
-fn sources(named: Option<&Path>) -> Result<PathBuf, Failure> {
+pub(crate) fn sources(named: Option<&Path>) -> Result<PathBuf, Failure> {
     const FOLDER: &str = "runtime/firmware";
     let is_there =
         |folder: &PathBuf| folder.join("boards").is_dir() && folder.join("Cargo.toml").is_file();
@@ -238,14 +255,10 @@ fn print(figures: &Figures) {
 
 /// Holds figures to a table, or writes them to it.
 fn compare(path: &Path, figures: &Figures, write: bool) -> Outcome {
-    let document = match fs::read_to_string(path) {
-        Err(error) if write && error.kind() == std::io::ErrorKind::NotFound => String::new(),
-        document => document.map_err(|error| Failure::file(path, &error))?,
-    };
-    let mut recorded = Recorded::read(&document);
+    let mut recorded = Recorded(Document::open(path, COLUMNS, write)?);
     if write {
         recorded.put(figures);
-        return write_output(path, recorded.write().as_bytes());
+        return write_output(path, recorded.0.write().as_bytes());
     }
     let within = |said: String| format!("{}: {said}", path.display());
     match recorded.judge(figures) {

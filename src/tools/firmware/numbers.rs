@@ -43,6 +43,10 @@ impl Cases {
         self.bytes.extend(numbers.into_iter().flat_map(|number| number.to_le_bytes()));
     }
 
+    pub(super) fn count(&self) -> usize {
+        self.count as usize
+    }
+
     pub(super) fn to_bytes(&self) -> Vec<u8> {
         [&self.count.to_le_bytes()[..], &self.bytes].concat()
     }

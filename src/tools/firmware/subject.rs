@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use sortie_bundle::{Bundle, GoldenCase, OptionsContract, Recording};
+use sortie_bundle::{Bundle, OptionsContract, Recording};
 use sortie_cli::deployment::open_bundle;
 use sortie_cli::failure::{Exit, Failure};
 use sortie_cli::tools::plans;
+use sortie_core::internal::kernels::build::Build;
 use sortie_core::options::Pursuit;
 use sortie_core::plan::{AlignedBytes, Header, Network, Plan, Profile};
 use sortie_core::{DecideError, EntityMask, Observation, PlanPolicy};
@@ -20,32 +21,43 @@ use super::numbers::{Cases, rules, words};
 /// Random cases of a plan: nobody recorded any.
 const RANDOM_CASES: usize = 256;
 
+/// The programs for policies over inputs of fixed sizes, and for agents that run options.
+const POLICY: &str = "sortie-policy";
+const OPTIONS: &str = "sortie-options";
+
+/// Bytes of the largest plan and arena that `runtime/firmware/src/any.rs` has room for.
+const READ_PLAN: usize = 512 * 1024;
+const READ_ARENA: usize = 64 * 1024;
+
 /// What is named on the command line.
-pub(super) enum Named {
+pub(crate) enum Named {
     Bundle(Box<Bundle>),
     Plan(PathBuf, AlignedBytes),
 }
 
 /// What a board decides by, and on what.
-pub(super) struct Subject {
+#[derive(Clone)]
+pub(crate) struct Subject {
     /// As the table names it.
-    pub(super) name: String,
-    pub(super) profile: Profile,
+    pub(crate) name: String,
+    pub(crate) profile: Profile,
     /// The program that decides so.
-    pub(super) program: &'static str,
+    pub(crate) program: &'static str,
     /// What the program is built around, by the variables that name such files.
     pub(super) files: Vec<(&'static str, Vec<u8>)>,
     /// What it reads when it starts, by name.
     pub(super) read: Vec<(&'static str, Vec<u8>)>,
+    /// Cases that are decided on.
+    pub(crate) decisions: usize,
     /// What streams in.
-    pub(super) cases: Vec<u8>,
+    pub(crate) cases: Vec<u8>,
     /// FNV-1a over the bits of what comes out on this machine.
-    pub(super) hash: u64,
+    pub(crate) hash: u64,
 }
 
 impl Named {
     /// Opens what is named; a plan has to be one that a board runs, and of the profile that is asked for.
-    pub(super) fn open(path: &Path, asked: Option<Profile>) -> Result<Self, Failure> {
+    pub(crate) fn open(path: &Path, asked: Option<Profile>) -> Result<Self, Failure> {
         if asked == Some(Profile::Fused) {
             return Err(fused());
         }
@@ -112,18 +124,54 @@ pub(super) fn agent_plans(bundle: &Bundle, profile: Profile) -> Result<AgentPlan
 
 impl Subject {
     /// An agent of a bundle on the first golden cases, `most` of them at most; where `sees_all`, with all their entities visible.
-    pub(super) fn of_bundle(
+    pub(crate) fn of_bundle(
         bundle: &Bundle,
         profile: Profile,
         agent: usize,
         (most, sees_all): (usize, bool),
     ) -> Result<Self, Failure> {
         let plans = agent_plans(bundle, profile)?;
-        if let Some(options) = bundle.options() {
-            return Self::of_options(bundle, (options, profile), &plans, most);
+        match bundle.options() {
+            Some(options) => Self::of_options(bundle, (options, profile), &plans, most),
+            None => Self::acting((bundle, &plans), agent, None, (most, sees_all)),
         }
+    }
+
+    /// Each network of a bundle's agents, on the golden cases or on recorded ones of those that decide by it.
+    pub(crate) fn all_of_bundle(
+        bundle: &Bundle,
+        profile: Profile,
+        recorded: Option<&Recording>,
+        most: usize,
+    ) -> Result<Vec<Self>, Failure> {
+        let plans = agent_plans(bundle, profile)?;
+        if let Some(options) = bundle.options() {
+            if recorded.is_some() {
+                let message = "an agent that runs options goes on from tick to tick, which single observations do not tell";
+                return Err(Failure::new(Exit::Usage, message).within(bundle.folder().display()));
+            }
+            return Ok(vec![Self::of_options(bundle, (options, profile), &plans, most)?]);
+        }
+        let graph_of = &bundle.manifest().network.graph_of;
+        let first = |graph: usize| graph_of.iter().position(|of| usize::from(*of) == graph);
+        // A network that no agent decides by decides nothing.
+        let agents: Vec<usize> = match graph_of.is_empty() {
+            true => vec![0],
+            false => (0..plans.plans().len()).filter_map(first).collect(),
+        };
+        let part = |agent| Self::acting((bundle, &plans), agent, recorded, (most, false));
+        agents.into_iter().map(part).collect()
+    }
+
+    /// An agent of a bundle that sees entities or inputs of fixed sizes.
+    fn acting(
+        (bundle, plans): (&Bundle, &AgentPlans),
+        agent: usize,
+        recorded: Option<&Recording>,
+        (most, sees_all): (usize, bool),
+    ) -> Result<Self, Failure> {
         let (network, contract) = (&bundle.manifest().network, bundle.contract());
-        let (index, plan) = plan_of_agent(bundle, &plans, agent)?;
+        let (index, plan) = plan_of_agent(bundle, plans, agent)?;
         let (name, sizes) = match network.graphs.get(index) {
             Some(graph) => {
                 (format!("{}/{}", name_of(bundle), graph.name), [graph.features, graph.actions])
@@ -131,15 +179,18 @@ impl Subject {
             None => (name_of(bundle), [contract.features, contract.actions]),
         };
         let [features, actions] = sizes.map(usize::from);
-        let decides = |case: &&GoldenCase| {
-            let graph = network.graph_of.get(case.observation.self_index);
+        let decides = |seen: &Observation<'_>| {
+            let graph = network.graph_of.get(seen.self_index);
             graph.is_none_or(|graph| usize::from(*graph) == index)
         };
+        let observed: Box<dyn Iterator<Item = Observation<'_>>> = match recorded {
+            Some(recorded) => Box::new(recorded.observations()),
+            None => Box::new(bundle.golden().cases.iter().map(|case| case.observation.view())),
+        };
         let mut recording = Recording::new(contract.hash(), features, actions);
-        for case in bundle.golden().cases.iter().filter(decides).take(most) {
-            let seen = case.observation.view();
+        for seen in observed.filter(decides).take(most) {
             let available = seen.available.get(..actions).unwrap_or_default();
-            let all = EntityMask::first(case.observation.entities());
+            let all = EntityMask::first(seen.rows.len() / seen.stride.max(1));
             let visible = if sees_all { all } else { seen.visible };
             recording.add(&Observation { available, visible, ..seen });
         }
@@ -148,7 +199,7 @@ impl Subject {
     }
 
     /// A plan on random cases, `most` of them at most.
-    pub(super) fn of_plan(
+    pub(crate) fn of_plan(
         path: &Path,
         plan: &AlignedBytes,
         seed: u64,
@@ -188,6 +239,7 @@ impl Subject {
             program: "sortie-firmware",
             files: vec![("SORTIE_PLAN", plan.as_slice().to_vec())],
             read: Vec::new(),
+            decisions: cases.observations().count(),
             cases: cases.to_bytes(),
             hash: hash_of(&mut policy, cases.observations()).map_err(cannot_decide)?,
         })
@@ -200,32 +252,25 @@ impl Subject {
         loaded: &Plan<'_>,
         given: &[Vec<Vec<f32>>],
     ) -> Result<Self, Failure> {
-        let mut arena = AlignedBytes::zeroed(loaded.arena_bytes());
-        let mut states = vec![0.0; loaded.hidden()];
-        let mut outputs: Vec<_> = loaded.outputs().map(|length| vec![0.0; length]).collect();
-        let (mut cases, mut hash) = (Cases::default(), UtilityHash::default());
+        let mut cases = Cases::default();
         for (index, given) in given.iter().enumerate() {
             cases.add(index == 0, given.iter().flatten());
-            let inputs: Vec<&[f32]> = given.iter().map(Vec::as_slice).collect();
-            let mut places: Vec<&mut [f32]> = outputs.iter_mut().map(Vec::as_mut_slice).collect();
-            loaded
-                .respond(arena.as_mut_slice(), &inputs, &mut states, &mut places)
-                .map_err(cannot_decide)?;
-            outputs.iter().for_each(|output| hash.add(output));
         }
-        let (inputs, wanted) = (loaded.inputs().count(), outputs.len());
+        let numbers: Vec<Vec<f32>> = given.iter().map(|case| case.concat()).collect();
+        let (inputs, wanted) = (loaded.inputs().count(), loaded.outputs().count());
         let sizes = [inputs, wanted, loaded.inputs().sum(), loaded.outputs().sum()];
         Ok(Self {
             name,
             profile: loaded.header().profile,
-            program: "sortie-policy",
+            program: POLICY,
             files: vec![
                 ("SORTIE_PLAN", plan.as_slice().to_vec()),
                 ("SORTIE_SIZES", words(sizes.map(|size: usize| size as u32))),
             ],
             read: Vec::new(),
+            decisions: given.len(),
             cases: cases.to_bytes(),
-            hash: hash.value(),
+            hash: responses(loaded, &numbers)?,
         })
     }
 
@@ -271,17 +316,55 @@ impl Subject {
         Ok(Self {
             name: name_of(bundle),
             profile,
-            program: "sortie-options",
+            program: OPTIONS,
             files,
             read: Vec::new(),
+            decisions: cases.count(),
             cases: cases.to_bytes(),
             hash: hash.value(),
         })
     }
 
+    /// The hash by another build of this machine's kernels; none of an agent that runs options, whose three plans are loaded
+    /// together.
+    pub(crate) fn hash_on(&self, build: Build) -> Result<Option<u64>, Failure> {
+        let Some(plan) = self.plan().filter(|_| self.program != OPTIONS) else { return Ok(None) };
+        let plan = AlignedBytes::copy_of(plan);
+        let loaded = Plan::load(plan.as_slice()).map_err(CompileError::from)?.on(build);
+        if self.program == POLICY {
+            let words = self.cases.as_chunks().0.iter().map(|word| f32::from_le_bytes(*word));
+            let words: Vec<f32> = words.skip(1).collect();
+            // A word in front of each case says whether an episode begins.
+            let cases = words.chunks_exact(1 + loaded.inputs().sum::<usize>());
+            let numbers: Vec<Vec<f32>> =
+                cases.map(|case| case.iter().skip(1).copied().collect()).collect();
+            return responses(&loaded, &numbers).map(Some);
+        }
+        let cases = Recording::from_bytes(&self.cases)
+            .map_err(|error| Failure::new(Exit::BadData, error.to_string()))?;
+        let mut arena = AlignedBytes::zeroed(loaded.arena_bytes());
+        let mut policy =
+            PlanPolicy::new(loaded, arena.as_mut_slice()).map_err(CompileError::from)?;
+        hash_of(&mut policy, cases.observations()).map(Some).map_err(cannot_decide)
+    }
+
+    /// Whether the program that reads its plan takes this one.
+    pub(crate) fn can_be_read(&self) -> bool {
+        let arena =
+            |plan: &[u8]| Header::read(plan).map_or(usize::MAX, |it| it.0.arena_bytes as usize);
+        let fits = |plan: &[u8]| plan.len() <= READ_PLAN && arena(plan) <= READ_ARENA;
+        self.program != OPTIONS && self.plan().is_some_and(fits)
+    }
+
+    /// The first plan.
+    fn plan(&self) -> Option<&[u8]> {
+        let mut files = self.files.iter().chain(&self.read);
+        files.find(|file| file.0 == "SORTIE_PLAN").map(|file| file.1.as_slice())
+    }
+
     /// The same by the program that reads its plan when it starts.
-    pub(super) fn read(self) -> Result<Self, Failure> {
-        if self.program == "sortie-options" {
+    pub(crate) fn read(self) -> Result<Self, Failure> {
+        if self.program == OPTIONS {
             let message =
                 "an agent that runs options has its three networks inside: leave `--read` out";
             return Err(Failure::new(Exit::Usage, message).within(self.name));
@@ -290,6 +373,25 @@ impl Subject {
         let read = self.files.into_iter().filter(|file| file.0 == "SORTIE_PLAN").collect();
         Ok(Self { name, program: "sortie-any", files: Vec::new(), read, ..self })
     }
+}
+
+/// The hash of what a policy over inputs of fixed sizes answers. What it remembers goes on from case to case.
+fn responses(loaded: &Plan<'_>, cases: &[Vec<f32>]) -> Result<u64, Failure> {
+    let mut arena = AlignedBytes::zeroed(loaded.arena_bytes());
+    let mut states = vec![0.0; loaded.hidden()];
+    let mut outputs: Vec<_> = loaded.outputs().map(|length| vec![0.0; length]).collect();
+    let mut hash = UtilityHash::default();
+    for case in cases {
+        let mut rest = case.as_slice();
+        let inputs: Vec<&[f32]> =
+            loaded.inputs().map_while(|length| rest.split_off(..length)).collect();
+        let mut places: Vec<&mut [f32]> = outputs.iter_mut().map(Vec::as_mut_slice).collect();
+        loaded
+            .respond(arena.as_mut_slice(), &inputs, &mut states, &mut places)
+            .map_err(cannot_decide)?;
+        outputs.iter().for_each(|output| hash.add(output));
+    }
+    Ok(hash.value())
 }
 
 /// Random numbers for a policy of which nothing is said but how many it takes.

@@ -7,9 +7,10 @@ use sortie_cli::policy::DeployedPolicy;
 use sortie_cli::tools::engines;
 use sortie_core::plan::Profile;
 use sortie_plans::{
-    Comparison, CompileError, GraphEngine, NetworkFiles, NetworkInput, OnnxRuntimeEngine, Rows,
-    True, TrueNumber, compare_pointing, compare_with_golden, compare_with_golden_allocations,
-    compare_with_golden_episodes, golden_inputs, golden_teams,
+    Answer, Comparison, CompileError, Family, GOLDEN_FAMILY, GraphEngine, NetworkFiles,
+    NetworkInput, OnnxRuntimeEngine, Rows, True, TrueNumber, compare_pointing, compare_with_golden,
+    compare_with_golden_allocations, compare_with_golden_episodes, compare_with_truth,
+    golden_inputs, golden_teams,
 };
 
 use super::networks::known;
@@ -24,24 +25,20 @@ pub(super) fn judged(
     profile: Profile,
 ) -> Result<Vec<Compared>, Failure> {
     let failed = within(bundle.folder());
-    let tract = engines()?.tract();
-    let graphs: Vec<&dyn GraphEngine> =
-        std::iter::once(tract).chain(runtime.map(|runtime| runtime as _)).collect();
-    let plan = unproved().agents(bundle, profile).and_then(DeployedPolicy::of_plans);
-    let mut policies = vec![("plan", plan.map_err(&failed)?)];
+    let graphs = graphs(runtime)?;
+    let mut policies = policies(bundle, profile, &graphs).map_err(&failed)?;
     let mut allocators = Vec::new();
     if bundle.allocator_onnx().is_some() {
         allocators.push(("plan", LearnedAllocator::of_plan(bundle, &unproved())?));
     }
     for engine in graphs {
-        let policy = DeployedPolicy::of_graph(bundle, engine).map_err(&failed)?;
-        policies.push((engine.name(), policy));
         if bundle.allocator_onnx().is_some() {
             allocators.push((engine.name(), LearnedAllocator::of_graph(bundle, engine)?));
         }
     }
     let (golden, team_max) = (bundle.golden(), bundle.manifest().limits.team_max.into());
-    let truths = true_utilities(bundle, arguments.common.seed).map_err(&failed)?;
+    let truths = true_utilities(bundle, &golden_inputs(&golden.cases), arguments.common.seed);
+    let truths = truths.map_err(&failed)?;
     let mut found = Vec::new();
     for (engine, policy) in &mut policies {
         let cases = compare_with_golden(policy.policy()?.as_mut(), &golden.cases, &truths);
@@ -70,15 +67,69 @@ fn named(name: String, found: Comparison) -> Compared {
     Compared::new(name, vec![found])
 }
 
-/// The true utilities of recorded observations; none where they are not known.
-fn true_utilities(bundle: &Bundle, seed: u64) -> Result<Vec<Option<True>>, CompileError> {
-    let inputs = golden_inputs(&bundle.golden().cases);
+/// How far plan, tract and onnxruntime are from double precision on the same observations, each with its name; nothing where
+/// the truth is not known.
+pub(crate) fn distances(
+    bundle: &Bundle,
+    profile: Profile,
+    inputs: Vec<NetworkInput>,
+    (runtime, seed): (Option<&'static dyn OnnxRuntimeEngine>, u64),
+) -> Result<Vec<(&'static str, Comparison)>, Failure> {
+    let failed = within(bundle.folder());
+    let truths = true_utilities(bundle, &inputs, seed).map_err(&failed)?;
+    if truths.iter().all(Option::is_none) {
+        return Ok(Vec::new());
+    }
+    let mut policies = policies(bundle, profile, &graphs(runtime)?).map_err(&failed)?;
+    let family = Family::of(GOLDEN_FAMILY, inputs);
+    let mut found = Vec::new();
+    for (name, policy) in &mut policies {
+        let mut policy = policy.policy()?;
+        let answer = |input: &NetworkInput| match input {
+            NetworkInput::Agent { seen, memory } => {
+                Answer::of_policy(policy.as_mut(), &seen.view(), memory)
+            }
+            _ => None,
+        };
+        let got: Vec<Option<Answer>> = family.inputs.iter().map(answer).collect();
+        found.push((*name, compare_with_truth(&family, &got, &truths)));
+    }
+    Ok(found)
+}
+
+/// tract, and onnxruntime where it is found.
+fn graphs(
+    runtime: Option<&'static dyn OnnxRuntimeEngine>,
+) -> Result<Vec<&'static dyn GraphEngine>, Failure> {
+    let tract = engines()?.tract();
+    Ok(std::iter::once(tract).chain(runtime.map(|runtime| runtime as _)).collect())
+}
+
+/// What decides for a bundle's agents, by every engine, each with its name.
+fn policies(
+    bundle: &Bundle,
+    profile: Profile,
+    graphs: &[&'static dyn GraphEngine],
+) -> Result<Vec<(&'static str, DeployedPolicy)>, CompileError> {
+    let plan = unproved().agents(bundle, profile).and_then(DeployedPolicy::of_plans)?;
+    let of_graph = |engine: &&'static dyn GraphEngine| {
+        Ok((engine.name(), DeployedPolicy::of_graph(bundle, *engine)?))
+    };
+    std::iter::once(Ok(("plan", plan))).chain(graphs.iter().map(of_graph)).collect()
+}
+
+/// The true utilities of observations; none where they are not known.
+fn true_utilities(
+    bundle: &Bundle,
+    inputs: &[NetworkInput],
+    seed: u64,
+) -> Result<Vec<Option<True>>, CompileError> {
     if bundle.options().is_some() || bundle.manifest().network.agent == POLICY {
         let team = TrueTeam::of(bundle)?;
-        return Ok(team.map(|mut team| team.answers(&inputs)).unwrap_or_default());
+        return Ok(team.map(|mut team| team.answers(inputs)).unwrap_or_default());
     }
     let files = NetworkFiles::One(bundle.agent_onnx());
-    true_answers(&files, bundle.contract().features.into(), &inputs, seed)
+    true_answers(&files, bundle.contract().features.into(), inputs, seed)
 }
 
 /// The true values of every recorded state's teams; none where they are not known.
