@@ -126,7 +126,7 @@ impl AllocatorProcess {
         let model = Box::new(allocator) as Box<dyn Allocator + '_>;
         let own = Held { id: identity.model, model };
         let domain = (self.contract, self.shape);
-        let mut models = Models::new(own, (registry, |rules| rules), domain, link.waker());
+        let mut models = Models::new(own, registry, |rules| rules, domain, link.waker());
         if let Some(facts) = membership.facts()? {
             models.join(facts.bundles(), self.mixes_teams);
         }

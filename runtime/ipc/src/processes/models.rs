@@ -103,7 +103,8 @@ impl<M, L> Models<M, L> {
     /// Decides by `own`; the rest is for those that `registry` opens.
     pub(crate) fn new(
         own: Held<M>,
-        (registry, keep): (Option<Registry<L>>, fn(L) -> M),
+        registry: Option<Registry<L>>,
+        keep: fn(L) -> M,
         (contract, shape): (u64, Shape),
         waker: Waker,
     ) -> Self {

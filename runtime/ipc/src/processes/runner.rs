@@ -165,7 +165,7 @@ impl RunnerProcess {
         let Self { link, role, parent, identity, abandoned, membership, .. } = self;
         let own = Held { id: identity.model, model: Box::new(policy) as Box<dyn Policy + '_> };
         let domain = (self.contract, self.shape);
-        let mut models = Models::new(own, (registry, |policy| policy), domain, link.waker());
+        let mut models = Models::new(own, registry, |policy| policy, domain, link.waker());
         if let Some(facts) = membership.facts()? {
             models.join(facts.bundles(), self.mixes_teams);
         }

@@ -350,7 +350,7 @@ impl<'a> Filling<'a> {
         let own = Held { id: fill.model, model: Box::new(fill.policy) as Box<dyn Policy + 'a> };
         let kept: fn(SwappedPolicy) -> Box<dyn Policy + 'a> = |policy| policy;
         let domain = (contract.hash, setup.format.layout.shape());
-        let mut models = Models::new(own, (fill.registry, kept), domain, link.waker());
+        let mut models = Models::new(own, fill.registry, kept, domain, link.waker());
         let facts = membership.facts()?;
         if let Some(facts) = &facts {
             models.join(facts.bundles(), contract.mixes_teams);
