@@ -58,7 +58,7 @@ enum OrderArgument {
         /// Folder of the bundle, beside that of the bundle in use: processes are told its name only
         bundle: PathBuf,
     },
-    /// The same with more say: watched first, at which tick, and when to turn back
+    /// Reload with more say: watched first, from which tick on, and when to turn back
     Swap(SwapArguments),
     /// What the messaging library may say on standard error
     LogLevel {

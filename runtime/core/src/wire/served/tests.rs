@@ -46,7 +46,7 @@ fn messages_stand_byte_for_byte_as_documented() {
     assert_eq!((format.observation_bytes(), format.answer_bytes()), (88, 72));
     let words = observation();
     let bytes = words.as_bytes();
-    assert_eq!(bytes[..8], *b"SOBS\x02\0\0\0");
+    assert_eq!(bytes[..8], *b"SOBS\x03\0\0\0");
     assert_eq!(bytes[8..16], SCHEMA.to_le_bytes());
     let numbers: Vec<u64> = words[2..6].to_vec();
     assert_eq!(numbers, [7, 8, 9, 10]);
@@ -55,7 +55,7 @@ fn messages_stand_byte_for_byte_as_documented() {
     assert_eq!(bytes[76..88], [1_u16, 0, 1, 0, 1, 0].map(u16::to_le_bytes).concat());
     let words = answer();
     let bytes = words.as_bytes();
-    assert_eq!(bytes[..8], *b"SACT\x02\0\0\0");
+    assert_eq!(bytes[..8], *b"SACT\x03\0\0\0");
     assert_eq!(bytes[44..48], [0xFF; 4]);
     assert_eq!(bytes[48..56], [3, 0, 0, 0, 2, 0, 0, 0]);
     assert_eq!(bytes[64..72], [0.5_f32, -0.5].map(f32::to_le_bytes).concat());
