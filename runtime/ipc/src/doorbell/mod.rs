@@ -327,7 +327,7 @@ mod tests {
         region.page().abi.store(1, Ordering::SeqCst);
         for _ in 0..2 {
             let refused = Region::open(&domain).unwrap_err().to_string();
-            assert!(refused.ends_with("is no doorbell of ABI 2: 4c4c454249545253, 1"), "{refused}");
+            assert!(refused.ends_with("is no doorbell of ABI 3: 4c4c454249545253, 1"), "{refused}");
         }
     }
 
