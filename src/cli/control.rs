@@ -5,9 +5,8 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 use sortie_core::wire::{Command, ControlStatus};
-use sortie_ipc::{Answer, Domain, Order, control};
+use sortie_ipc::{Answer, Domain, Order, control, model_text};
 
-use crate::deployment::model_text;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::ENGINE;
 use crate::output::{print_json, say};

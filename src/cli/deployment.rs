@@ -88,11 +88,6 @@ pub(crate) fn beside(folder: &Path, name: &str) -> PathBuf {
     parent.unwrap_or(Path::new(".")).join(name)
 }
 
-/// A model's id in messages, as it is written.
-pub(crate) fn model_text(model: [u8; 16]) -> String {
-    format!("{:032x}", u128::from_be_bytes(model))
-}
-
 /// The model's id in messages: the first 16 bytes of the bundle's.
 pub fn model_id(bundle: &Bundle) -> [u8; 16] {
     let mut id = [0; 16];

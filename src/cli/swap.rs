@@ -8,11 +8,11 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use sortie_bundle::Bundle;
 use sortie_core::wire::{ControlStatus, Role, SwapMoment, TurnBack};
-use sortie_ipc::{Answer, Domain, ProcessInfo, Readiness, Stop, Swap};
+use sortie_ipc::{Answer, Domain, ProcessInfo, Readiness, Stop, Swap, model_text};
 
 use crate::allocation::AllocatorChoice;
 use crate::allocator::{DeployedAllocator, ProposalArguments};
-use crate::deployment::{beside, bundle_name, model_id, model_text, open_bundle};
+use crate::deployment::{beside, bundle_name, model_id, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::listener::Listener;
 use crate::output::{print_json, say};

@@ -25,7 +25,7 @@ pub use control::{Answer, Order, control};
 pub use doctor::{Finding, Severity, examine};
 pub use domain::{
     BellKind, Domain, DomainContract, DomainFacts, Lock, Membership, Starting, TeamBundle,
-    TeamBundles,
+    TeamBundles, model_text,
 };
 pub use doorbell::Doorbell;
 pub use error::Error;

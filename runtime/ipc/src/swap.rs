@@ -3,7 +3,7 @@
 use sortie_core::wire::{Command, ControlStatus, Role, SwapMoment, SwapOrder, TurnBack};
 
 use crate::control::{Answer, Order, control};
-use crate::domain::{Domain, Lock, Membership};
+use crate::domain::{Domain, Lock, Membership, model_text};
 use crate::error::Error;
 use crate::process_info::{Candidate, ProcessInfo};
 
@@ -100,10 +100,8 @@ impl Swap {
         back: TurnBack,
         watched_ticks: u32,
     ) -> Result<Result<(), Vec<Answer>>, Error> {
-        self.order_change(
-            SwapOrder { generation: self.generation, moment, back, watched_ticks },
-            self.model,
-        )
+        let order = SwapOrder { generation: self.generation, moment, back, watched_ticks };
+        self.order_change(order, &model_text(self.model))
     }
 
     /// Turns back to the bundle before the change, at the next tick.
@@ -114,18 +112,16 @@ impl Swap {
         let generation = self.next_generation();
         let facts = self.membership.facts()?;
         let before = facts.map(|facts| facts.bundles().other().model.clone()).unwrap_or_default();
-        let model = u128::from_str_radix(&before, 16).unwrap_or(0).to_be_bytes();
-        self.order_change(SwapOrder { generation, ..SwapOrder::default() }, model)
+        self.order_change(SwapOrder { generation, ..SwapOrder::default() }, &before)
     }
 
     fn order_change(
         &self,
         order: SwapOrder,
-        model: [u8; 16],
+        model: &str,
     ) -> Result<Result<(), Vec<Answer>>, Error> {
         let number = order.to_number();
-        let text = format!("{:032x}", u128::from_be_bytes(model));
-        let order = Order { number, ..Order::new(Command::SwapBundle) }.with_text(&text);
+        let order = Order { number, ..Order::new(Command::SwapBundle) }.with_text(model);
         let told = control(self.membership.domain(), &order)?;
         Ok(if is_done(&told) { Ok(()) } else { Err(told) })
     }

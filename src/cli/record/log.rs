@@ -1,12 +1,11 @@
 //! A record as it grows: messages as they are, and a line a tick for people.
 
 use sortie_core::wire::{ABI, ActionMsg, AllocMsg, FrameHeader, Role, StatMsg};
-use sortie_ipc::{DomainFacts, Heard};
+use sortie_ipc::{DomainFacts, Heard, model_text};
 use sortie_record::{Message, Writer};
 use zerocopy::IntoBytes;
 
 use super::ticks::{self, Ticks};
-use crate::deployment::model_text;
 use crate::failure::Failure;
 use crate::listener::Missed;
 

@@ -10,9 +10,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use clap::Args;
 use sortie_core::link::Clock;
-use sortie_ipc::{Domain, DomainFacts, Heard, MonotonicClock, Stop};
+use sortie_ipc::{Domain, DomainFacts, Heard, MonotonicClock, Stop, model_text};
 
-use crate::deployment::{model_id, model_text, open_bundle};
+use crate::deployment::{model_id, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::listener::Listener;
 use crate::output::{Common, plural};

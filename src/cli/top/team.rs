@@ -6,12 +6,11 @@ use sortie_core::wire::{
     ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameKind, FrameView, Role, StatMsg,
 };
 use sortie_envs::Split;
-use sortie_ipc::{DomainFacts, Heard};
+use sortie_ipc::{DomainFacts, Heard, model_text};
 
 use super::overview::{Agent, Allocated, Moment, Overview, Process, Standing};
 use super::seat::Seat;
 use super::window::{WINDOW_S, Window, covered_s};
-use crate::deployment::model_text;
 use crate::environment::ScenarioSetName;
 use crate::failure::Failure;
 use crate::listener::Missed;

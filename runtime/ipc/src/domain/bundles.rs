@@ -2,6 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+/// A model's id in messages, as it is written: 32 hexadecimal digits.
+pub fn model_text(model: [u8; 16]) -> String {
+    format!("{:032x}", u128::from_be_bytes(model))
+}
+
 /// A bundle as a team knows it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TeamBundle {

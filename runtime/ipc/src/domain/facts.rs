@@ -11,7 +11,7 @@ use sortie_core::Shape;
 use sortie_core::identity::schema_hash;
 use sortie_core::wire::{ABI, FrameFormat, FrameLayout};
 
-use super::bundles::{TeamBundle, TeamBundles};
+use super::bundles::{TeamBundle, TeamBundles, model_text};
 use super::{BellKind, Domain};
 use crate::error::Error;
 use crate::stop::Stop;
@@ -41,12 +41,6 @@ pub struct DomainContract {
     pub mixes_teams: bool,
     /// All fields by name, so that a mismatch can name the first that differs.
     pub fields: toml::Table,
-}
-
-impl DomainContract {
-    fn model_name(&self) -> String {
-        format!("{:032x}", u128::from_be_bytes(self.model))
-    }
 }
 
 /// What a running domain is.
@@ -88,7 +82,7 @@ impl DomainFacts {
             allocation: contract.allocation.clone(),
             bundles: TeamBundles::new(TeamBundle {
                 name: contract.bundle.clone().unwrap_or_default(),
-                model: contract.model_name(),
+                model: model_text(contract.model),
             }),
             contract: contract.fields.clone(),
         }
@@ -230,7 +224,7 @@ impl DomainFacts {
             ours: ours.to_string(),
             theirs: theirs.to_string(),
         };
-        let ours = contract.model_name();
+        let ours = model_text(contract.model);
         if contract.mixes_teams {
             return Ok(());
         }

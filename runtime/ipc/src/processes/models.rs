@@ -6,7 +6,7 @@ use sortie_core::Shape;
 use sortie_core::roles::Identity;
 use sortie_core::wire::ControlStatus;
 
-use crate::domain::{Membership, TeamBundles};
+use crate::domain::{Membership, TeamBundles, model_text};
 use crate::error::Error;
 use crate::process_info::Candidate;
 use crate::stop::Waker;
@@ -127,8 +127,8 @@ impl<M, L> Models<M, L> {
     /// bundle in use, or if teams are mixed.
     pub(crate) fn join(&mut self, bundles: &TeamBundles, mixes_teams: bool) {
         let [own, other] = &mut self.places;
-        let model = own.as_ref().map_or(0, |own| u128::from_be_bytes(own.id));
-        let is_of_team = mixes_teams || format!("{model:032x}") == bundles.in_use().model;
+        let model = model_text(own.as_ref().map_or([0; 16], |own| own.id));
+        let is_of_team = mixes_teams || model == bundles.in_use().model;
         self.generation = bundles.generation();
         if place(self.generation) == 1 {
             std::mem::swap(own, other);
