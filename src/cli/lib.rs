@@ -27,7 +27,6 @@ mod listener;
 pub mod methods;
 pub mod npz;
 pub mod output;
-mod owned;
 pub mod policy;
 mod quantities;
 mod record;

@@ -8,7 +8,7 @@ use sortie_core::Allocator;
 use sortie_core::roles::Counters;
 use sortie_ipc::{AllocatorProcess, Domain, DomainContract, ProcessSettings, RunnerProcess, Stop};
 
-use super::registry::{policies, registry};
+use super::registry::{allocators, policies};
 use super::team::Scheduling;
 use super::world::{Playing, WorldOfTeam, play};
 use crate::allocation::{Allocation, AllocatorChoice};
@@ -16,7 +16,6 @@ use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::{beside, bundle_name, domain_contract, is_bundle_name, model_id};
 use crate::environment::entry_of;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::owned;
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::stop_on_signals;
 use crate::trust::TrustArguments;
@@ -178,9 +177,7 @@ fn allocate(
         DeployedAllocator::open(bundle, allocation, backend, seed, proposals)
     };
     let mut memory = open(bundle)?;
-    let registry = registry(bundle.folder(), &arguments.trust, move |bundle| {
-        open(bundle).and_then(owned::allocator)
-    })?;
+    let registry = allocators(bundle.folder(), &arguments.trust, open)?;
     let mut process = AllocatorProcess::join(domain, contract, settings, stop)?;
     let mut allocator = memory.allocator()?;
     let ended = process.allocate(allocator.as_mut(), Some(registry), stop);
