@@ -28,6 +28,15 @@ fn a_team_that_is_up_does_what_it_is_told() {
         let leads = |process: &&serde_json::Value| process["leads"] == true;
         processes.len() == 8 && processes.iter().filter(leads).count() == 2
     });
+    let folder = tempfile::tempdir().expect("a folder");
+    let record = folder.path().join("run.mcap");
+    let record = record.to_str().expect("a name");
+    let mut recorder =
+        sortie(&["record", BUNDLE, "--output", record, "--domain", &domain.id, "--quiet"])
+            .stdout(Stdio::null())
+            .spawn()
+            .expect("the command line starts");
+    wait_until("it records", || std::fs::metadata(record).is_ok_and(|file| file.len() > 0));
     assert_eq!(tell("pause")["processes"][0]["role"], "world");
     let told = output(&["control", "info", "--domain", &domain.id]);
     let lines = String::from_utf8_lossy(&told.stdout).into_owned();
@@ -93,11 +102,16 @@ fn a_team_that_is_up_does_what_it_is_told() {
     assert_eq!(changed.status.code(), Some(0), "{}", stderr(&changed));
     let changed: serde_json::Value = serde_json::from_slice(&changed.stdout).expect("JSON");
     assert_eq!(model(&changed), small);
-    assert!(changed["shadow"]["agreement"]["of"].as_u64() > Some(100), "{changed}");
+    assert!(changed["shadow"]["agreement"]["of"].as_u64() > Some(10), "{changed}");
     let nobody = output(&["control", "pause", "--domain", &domain.id, "--process", "1"]);
     assert_fails(&nobody, 69, &["no process that could do it has answered"]);
     assert_eq!(tell("shut-down")["processes"][0]["outcome"], "done");
     assert_eq!(up.wait().expect("its status").code(), Some(0));
+    assert_eq!(recorder.wait().expect("its status").code(), Some(0));
+    // Both bundles decided, in turns, and two allocators: all of it is made again.
+    let remade = json(&["remake", record, "--json"]);
+    assert_eq!((&remade["different"], &remade["of_others"]), (&0.into(), &0.into()), "{remade}");
+    assert!(remade["actions"].as_u64() > Some(1_000), "{remade}");
     let over = output(&["control", "info", "--domain", &domain.id]);
     assert_fails(&over, 69, &["no world has started in domain"]);
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());

@@ -325,3 +325,52 @@ fn whatever_is_changed_in_a_record_that_a_decision_read_or_made_is_named() {
         assert_fails(&refused, 1, &["tick ", "in the record", "made again"]);
     }
 }
+
+/// What happens to a team at 1 kHz all the time: its allocator steps down or is killed, so are runners, or all change the bundle.
+fn disturb(domain: &TestDomain, turn: usize) {
+    let order = |order: &[&str]| output(&[&["control"], order, &["--domain", &domain.id]].concat());
+    let told = order(&["info", "--json"]).stdout;
+    let told: Value = serde_json::from_slice(&told).unwrap_or_default();
+    let victims = |leads: bool| {
+        let processes = told["processes"].as_array().into_iter().flatten();
+        let processes = processes.filter(|it| it["role"] != "world" && it["leads"] == leads);
+        processes.filter_map(|it| it["pid"].as_u64()).collect::<Vec<_>>()
+    };
+    match turn % 5 {
+        0 => drop(order(&["reload", &format!("{BUNDLE}-large")])),
+        1 => drop(order(&["step-down"])),
+        2 => drop(order(&["reload", BUNDLE])),
+        which => {
+            let victims = victims(which == 3);
+            victims.get(turn % victims.len().max(1)).into_iter().for_each(|pid| kill(*pid as u32));
+        }
+    }
+}
+
+/// Ten thousand ticks; `TICKS=1000000` of them in the same way takes an hour.
+#[test]
+fn what_a_team_did_under_kills_and_changes_is_made_again() {
+    let domain = TestDomain::new("disturbed");
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("run.mcap");
+    let name = file.to_str().expect("a name");
+    let ticks = std::env::var("TICKS").unwrap_or_else(|_| "10000".to_owned());
+    let up = Playing::at(&domain, "1000");
+    let record =
+        ["record", BUNDLE, "--output", name, "--ticks", &ticks, "--json", "--domain", &domain.id];
+    let mut recorder = sortie(&record).stdout(Stdio::piped()).spawn().expect("it starts");
+    let mut turns = 0;
+    while recorder.try_wait().expect("a status").is_none() {
+        disturb(&domain, turns);
+        turns += 1;
+    }
+    let recorded = recorder.wait_with_output().expect("its output");
+    up.shut_down(&domain);
+    let began = std::time::Instant::now();
+    let remade = json(&["remake", name, "--json"]);
+    let took = began.elapsed();
+    println!("{turns} turns; {}{remade} in {took:?}", String::from_utf8_lossy(&recorded.stdout));
+    assert_eq!((&remade["different"], &remade["of_others"]), (&0.into(), &0.into()), "{remade}");
+    let [made, frames] = ["actions", "frames"].map(|key| remade[key].as_u64().expect(key));
+    assert!(turns > 5 && made > frames, "{turns} turns: {remade}");
+}

@@ -99,21 +99,18 @@ fn collect(folder: &Path, name: &str, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// A team at 100 Hz, each agent in a process of its own, that plays until it is told to end, or until its test fails.
+/// A team, each agent in a process of its own, that plays until it is told to end, or until its test fails.
 pub(crate) struct Playing(pub(crate) Child);
 
 impl Playing {
     pub(crate) fn new(domain: &TestDomain) -> Self {
-        let mut up = sortie(&[
-            "up",
-            BUNDLE,
-            "--domain",
-            &domain.id,
-            "--quiet",
-            "--isolate",
-            "--rate",
-            "100",
-        ]);
+        Self::at(domain, "100")
+    }
+
+    /// At so many ticks a second.
+    pub(crate) fn at(domain: &TestDomain, rate: &str) -> Self {
+        let up = ["up", BUNDLE, "--domain", &domain.id, "--quiet", "--isolate", "--rate", rate];
+        let mut up = sortie(&up);
         let up = up.stdout(Stdio::null()).stderr(Stdio::null()).spawn();
         let up = Self(up.expect("the command line starts"));
         wait_until("everybody is there", || {

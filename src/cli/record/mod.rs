@@ -1,23 +1,24 @@
 //! `sortie record`: what a team says while it works, in a file.
 
+mod bundles;
 mod files;
 mod flight;
 mod log;
 mod ticks;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use clap::Args;
 use sortie_core::link::Clock;
-use sortie_ipc::{Domain, DomainFacts, Heard, MonotonicClock, Stop, model_text};
+use sortie_ipc::{Domain, Heard, MonotonicClock, Stop};
 
-use crate::deployment::{model_id, open_bundle};
-use crate::failure::{Exit, Failure, Outcome};
+use crate::failure::{Failure, Outcome};
 use crate::listener::Listener;
 use crate::output::{Common, plural};
 use crate::quantities::{size, time};
 use crate::terminal::{spinner, stop_on_signals};
+use bundles::Bundles;
 use files::{Division, Files, Written, finish_alone};
 use flight::{Event, Flight};
 use log::Log;
@@ -39,7 +40,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
   sortie record --last 60s --on fallback,death    # the minute before something happens, when it does
   sortie record --finish monday.mcap              # after its recorder was killed")]
 pub(crate) struct RecordArguments {
-    /// Folder of the bundle that the team runs, which the record then brings along
+    /// Folder of the bundle that the team runs: the record then brings it along, and those that the team changes to
     bundle: Option<PathBuf>,
     /// File to write; `run-1.mcap`, `run-2.mcap` and so on where there may be several
     #[arg(short, long, value_name = "FILE", default_value = "run.mcap")]
@@ -128,11 +129,11 @@ pub(crate) fn run(arguments: &RecordArguments) -> Outcome {
     let listener = Listener::enter(&domain, "recorder")?;
     let facts = listener.facts();
     let mut log = Log::new(facts, wall_clock_ahead_ns())?;
-    if let Some(folder) = &arguments.bundle {
-        attach(&mut log, folder, facts)?;
-    }
+    let bundles = arguments.bundle.as_ref();
+    let bundles = bundles.map(|folder| Bundles::open(&domain, folder, facts, &mut log));
+    let bundles = bundles.transpose()?;
     let mut output = Output::open(arguments)?;
-    let ended = record(listener, (&mut log, &mut output), &stop, arguments);
+    let ended = record(listener, bundles, (&mut log, &mut output), &stop, arguments);
     // What was written before a failure is as good as ever.
     output.end(&mut log).and(ended)
 }
@@ -140,18 +141,25 @@ pub(crate) fn run(arguments: &RecordArguments) -> Outcome {
 /// Records until the team ends or the user does.
 fn record(
     mut listener: Listener,
+    mut bundles: Option<Bundles<'_>>,
     (log, output): (&mut Log, &mut Output),
     stop: &Stop,
     arguments: &RecordArguments,
 ) -> Outcome {
     let spinner = spinner(arguments.common);
-    let (mut told_ns, mut is_over) = (0, false);
+    let (mut told_ns, mut is_over, mut generation) = (0, false, None);
     while !is_over {
         listener.look(&mut |heard, now_ns| {
+            if let Heard::Frame(header, _) = heard {
+                generation = Some(header.generation);
+            }
             output.hear(heard, now_ns);
             is_over |= log.add(heard, now_ns);
         })?;
         let now_ns = listener.looked_ns();
+        if let (Some(bundles), Some(generation)) = (&mut bundles, generation) {
+            bundles.look(generation, log)?;
+        }
         output.look(log, now_ns)?;
         if now_ns - told_ns > LOOK_EVERY.as_nanos() as u64 {
             told_ns = now_ns;
@@ -164,6 +172,7 @@ fn record(
         }
     }
     spinner.finish_and_clear();
+    bundles.into_iter().for_each(|mut bundles| bundles.end(log));
     Ok(())
 }
 
@@ -171,30 +180,4 @@ fn record(
 fn wall_clock_ahead_ns() -> u64 {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     (since_1970.as_nanos() as u64).saturating_sub(MonotonicClock.now_ns())
-}
-
-/// Has the record bring along the bundle of the team.
-fn attach(log: &mut Log, folder: &Path, facts: &DomainFacts) -> Outcome {
-    let bundle = open_bundle(folder)?;
-    let model = model_text(model_id(&bundle));
-    if model != facts.model() {
-        let message = format!(
-            "{} is not the team's bundle: {model}, which has {}",
-            folder.display(),
-            facts.model()
-        );
-        return Err(Failure::new(Exit::Mismatch, message));
-    }
-    let failed = |error| Failure::file(folder, &error);
-    let mut paths = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(failed)? {
-        paths.push(entry.map_err(failed)?.path());
-    }
-    paths.sort();
-    for path in paths.iter().filter(|path| path.is_file()) {
-        let data = std::fs::read(path).map_err(|error| Failure::file(path, &error))?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        log.attach(&format!("bundle/{name}"), &data);
-    }
-    Ok(())
 }

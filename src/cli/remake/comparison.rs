@@ -14,21 +14,13 @@ const DECIDED: u16 =
     ActionMsg::STALE_ALLOC | ActionMsg::NO_ALLOC | ActionMsg::FALLBACK | ActionMsg::STATE_RESET;
 
 /// Counts what comes out otherwise, and keeps the first of it.
+#[derive(Default)]
 pub(super) struct Comparison {
-    /// As messages name it.
-    model: u32,
     pub(super) different: u64,
     pub(super) first_difference: Option<Difference>,
 }
 
 impl Comparison {
-    /// Of the decisions of this model.
-    pub(super) fn new(model: [u8; 16]) -> Self {
-        let [a, b, c, d, ..] = model;
-        let model = u32::from_le_bytes([a, b, c, d]);
-        Self { model, different: 0, first_difference: None }
-    }
-
     fn note(&mut self, difference: Difference) {
         self.different += 1;
         self.first_difference.get_or_insert(difference);
@@ -36,10 +28,6 @@ impl Comparison {
 }
 
 impl Judge for Comparison {
-    fn takes(&self, model: u32) -> bool {
-        model == self.model
-    }
-
     fn action(&mut self, recorded: &ActionMsg, made: Option<&ActionMsg>, frame: &Shown) {
         if let Some(difference) = different(recorded, made, frame.header.episode) {
             self.note(difference);

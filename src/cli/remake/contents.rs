@@ -1,6 +1,7 @@
-//! What a record holds: the domain, its bundle, who was there, and all messages again and again.
+//! What a record holds: the domain, its bundles, who was there, and all messages again and again.
 
 use std::collections::BTreeSet;
+use std::collections::btree_map::{BTreeMap, Entry};
 use std::fs::{self, File};
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -10,6 +11,7 @@ use sortie_core::plan::AlignedBytes;
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameView, Role, StatMsg};
 use sortie_ipc::{DomainFacts, Heard, ProcessInfo};
 use sortie_record::{Reader, Record, RecordError};
+use tempfile::TempDir;
 use zerocopy::FromBytes;
 
 use crate::deployment::open_bundle;
@@ -63,14 +65,14 @@ pub(super) struct Contents {
     pub(super) frames: u64,
     /// Where it was cut off, if it was.
     pub(super) torn_at: Option<u64>,
-    /// The bundle's files, if the record has them.
-    attached: Option<tempfile::TempDir>,
+    /// The files of the team's bundles, as far as the record has them, by what it calls the bundles.
+    attached: BTreeMap<String, TempDir>,
 }
 
 impl Contents {
     /// Reads all of it once.
     pub(super) fn read(path: &Path) -> Result<Self, Failure> {
-        let (mut domain, mut attached) = (None, None);
+        let (mut domain, mut attached) = (None, BTreeMap::new());
         let (mut runners, mut engines, mut frames) = (BTreeSet::new(), BTreeSet::new(), 0);
         let mut topics = Topics::default();
         let torn_at = each(path, &mut |record| {
@@ -114,8 +116,8 @@ impl Contents {
         let runners = processes.iter().filter(|process| process.role == Role::Runner);
         let runners =
             runners.filter(|process| !process.serves).map(|process| process.pid).collect();
-        let (facts, engines) = (facts.clone(), BTreeSet::new());
-        Ok(Self { path, facts, format, runners, engines, frames: 0, torn_at: None, attached: None })
+        let (facts, engines, attached) = (facts.clone(), BTreeSet::new(), BTreeMap::new());
+        Ok(Self { path, facts, format, runners, engines, frames: 0, torn_at: None, attached })
     }
 
     /// Where it comes from.
@@ -134,16 +136,16 @@ impl Contents {
         Err(Failure::new(Exit::Mismatch, message))
     }
 
-    /// The bundle in this folder, else the one that the record brings along.
-    pub(super) fn bundle(&self, named: Option<&Path>) -> Result<Bundle, Failure> {
+    /// The bundle in this folder, else those that the record brings along: one at least.
+    pub(super) fn bundles(&self, named: Option<&Path>) -> Result<Vec<Bundle>, Failure> {
         if let Some(folder) = named {
-            return open_bundle(folder);
+            return Ok(vec![open_bundle(folder)?]);
         }
-        let folder = self.attached.as_ref().ok_or_else(|| {
+        if self.attached.is_empty() {
             let advice = "name the team's by --bundle, or record with it: sortie record BUNDLE";
-            bad(&self.path, format!("it brings no bundle along; {advice}"))
-        })?;
-        open_bundle(folder.path())
+            return Err(bad(&self.path, format!("it brings no bundle along; {advice}")));
+        }
+        self.attached.values().map(|folder| open_bundle(folder.path())).collect()
     }
 
     /// Tells all frames, actions and allocations, in their order.
@@ -176,18 +178,18 @@ fn read<T: FromBytes>(data: &[u8]) -> Result<T, String> {
     T::read_from_bytes(data).map_err(|_| format!("a message has {} bytes", data.len()))
 }
 
-/// Keeps a file of the bundle. Names have no folder in them: a record of others could put files anywhere else.
-fn keep(folder: &mut Option<tempfile::TempDir>, name: &str, data: &[u8]) -> Result<(), String> {
-    if folder.is_none() {
-        *folder = Some(tempfile::tempdir().map_err(|error| error.to_string())?);
-    }
-    let is_plain = Path::new(name).file_name().is_some_and(|plain| plain == name);
-    match folder {
-        Some(folder) if is_plain => {
-            fs::write(folder.path().join(name), data).map_err(|error| error.to_string())
+/// Keeps a file of a bundle, `BUNDLE/FILE`. What it is called has no folder in it: a record of others could put files anywhere.
+fn keep(folders: &mut BTreeMap<String, TempDir>, name: &str, data: &[u8]) -> Result<(), String> {
+    let is_plain = |name: &&str| Path::new(name).file_name().is_some_and(|plain| plain == *name);
+    let parts = name.split_once('/').filter(|(_, file)| is_plain(file));
+    let (bundle, file) = parts.ok_or_else(|| format!("`{name}` is no file of a bundle"))?;
+    let folder = match folders.entry(bundle.to_owned()) {
+        Entry::Occupied(there) => there.into_mut(),
+        Entry::Vacant(place) => {
+            place.insert(tempfile::tempdir().map_err(|error| error.to_string())?)
         }
-        _ => Err(format!("`{name}` is no name of a file")),
-    }
+    };
+    fs::write(folder.path().join(file), data).map_err(|error| error.to_string())
 }
 
 /// The names of channels.
@@ -246,7 +248,8 @@ mod tests {
             ("notes.txt", "", "brings no `domain.toml`"),
             ("domain.toml", "agents = ", "run.mcap"),
             ("domain.toml", &nobody, "agents"),
-            ("bundle/../../elsewhere", "", "is no name of a file"),
+            ("bundle/a/../../elsewhere", "", "is no file of a bundle"),
+            ("bundle/contract.toml", "", "is no file of a bundle"),
         ] {
             let (mut writer, mut bytes) = (Writer::new("sortie", "a test"), Vec::new());
             writer.add_attachment([name, "text/plain"], 0, text.as_bytes());

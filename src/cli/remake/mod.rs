@@ -25,18 +25,16 @@ use crate::deployment::model_id;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Common, plural, print_json, say};
 use crate::policy::{Backend, DeployedPolicy};
-use crate::run::process::fallback;
-use crate::worlds::RuleAllocator;
 use comparison::{Comparison, Difference};
 use contents::Contents;
 use roles::{Made, Roles, Team};
 
 /// Make every decision of a record again, and name the first that comes out otherwise
 ///
-/// Each action and allocation of a team that was recorded is decided anew, from the frames and by the bundle that the record
-/// brings along: the same to the last bit of its utility, whatever machine it was recorded on. Decisions of another bundle, of
-/// a network that ran in an engine, or about frames that the record lacks, are counted and not made. Exit code 1 where one
-/// differs.
+/// Each action and allocation of a team that was recorded is decided anew, from the frames and by the bundles that the record
+/// brings along: the same to the last bit of its utility, whatever machine it was recorded on. Decisions of bundles that it does
+/// not bring, of a network that ran in an engine, or about frames that the record lacks, are counted and not made. Exit code 1
+/// where one differs.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie remake run.mcap
@@ -44,7 +42,7 @@ use roles::{Made, Roles, Team};
 pub(crate) struct RemakeArguments {
     /// The record, as `sortie record` writes it
     record: PathBuf,
-    /// Bundle that decided [default: the one that the record brings along]
+    /// Bundle that decided [default: those that the record brings along]
     #[arg(long, value_name = "FOLDER")]
     bundle: Option<PathBuf>,
     #[command(flatten)]
@@ -68,21 +66,23 @@ struct Remade<'a> {
 
 pub(crate) fn run(arguments: &RemakeArguments) -> Outcome {
     let contents = Contents::read(&arguments.record)?;
-    let bundle = contents.bundle(arguments.bundle.as_deref())?;
+    let bundles = contents.bundles(arguments.bundle.as_deref())?;
     let draws = (arguments.common.seed, arguments.proposals);
-    let mut deployed = Deployed::open(&contents, &bundle, draws)?;
-    let mut comparison = Comparison::new(model_id(&bundle));
-    let mut roles = Roles::new(&contents, &bundle, deployed.team()?, &mut comparison);
+    let deployed = bundles.iter().map(|bundle| Deployed::open(&contents, bundle, draws));
+    let mut deployed = deployed.collect::<Result<Vec<_>, _>>()?;
+    let teams = deployed.iter_mut().map(Deployed::team).collect::<Result<_, _>>()?;
+    let mut comparison = Comparison::default();
+    let mut roles = Roles::new(&contents, &bundles[0], teams, &mut comparison)?;
     contents.replay(&mut |message| roles.hear(message))?;
     let made = roles.end();
     report(arguments, &contents, made, &comparison)
 }
 
-/// What decided in a team, opened once more.
+/// A bundle that decided in a team, opened once more.
 struct Deployed {
+    model: u32,
     /// One for each runner, in the order of their numbers.
     policies: Vec<DeployedPolicy>,
-    fallback: Option<RuleAllocator>,
     allocator: Option<DeployedAllocator>,
 }
 
@@ -103,20 +103,26 @@ impl Deployed {
         contents.check(bundle)?;
         let policies = contents.runners.iter().map(|_| DeployedPolicy::open(bundle, Backend::Plan));
         let policies = policies.collect::<Result<_, _>>()?;
-        Ok(Self { policies, fallback: fallback(bundle)?, allocator: None })
+        Ok(Self { model: short_id(bundle), policies, allocator: None })
     }
 
     fn team(&mut self) -> Result<Team<'_>, Failure> {
-        let Self { policies, fallback, allocator } = self;
+        let Self { model, policies, allocator } = self;
         // They stay in this thread, and what hears them out need not leave it.
         let team = |policy| DeployedPolicy::team(policy).map(|policy| policy as Box<dyn Policy>);
         let allocator = allocator.as_mut().map(DeployedAllocator::allocator).transpose()?;
         Ok(Team {
+            model: Some(*model),
             policies: policies.iter_mut().map(team).collect::<Result<_, _>>()?,
-            fallback: fallback.as_mut(),
             allocator: allocator.map(|allocator| allocator as Box<dyn Allocator>),
         })
     }
+}
+
+/// A bundle as answers name it: by the first bytes of its id.
+fn short_id(bundle: &Bundle) -> u32 {
+    let [a, b, c, d, ..] = model_id(bundle);
+    u32::from_le_bytes([a, b, c, d])
 }
 
 fn choice(name: &str) -> Result<AllocatorChoice, Failure> {

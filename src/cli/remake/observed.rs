@@ -13,7 +13,6 @@ use super::Deployed;
 use super::comparison::Comparison;
 use super::contents::Contents;
 use super::roles::Roles;
-use crate::deployment::model_id;
 use crate::failure::Failure;
 use crate::files::{read_recording, recording_of};
 
@@ -44,8 +43,8 @@ fn of_record(path: &Path, bundle: &Bundle) -> Result<Recording, Failure> {
     let mut deployed = Deployed::open_agents(&contents, bundle)?;
     let mut team = deployed.team()?;
     team.policies = team.policies.into_iter().map(|policy| noting(policy, &recording)).collect();
-    let mut comparison = Comparison::new(model_id(bundle));
-    let mut roles = Roles::new(&contents, bundle, team, &mut comparison);
+    let mut comparison = Comparison::default();
+    let mut roles = Roles::new(&contents, bundle, vec![team], &mut comparison)?;
     contents.replay(&mut |message| roles.hear(message))?;
     roles.end();
     drop(deployed);

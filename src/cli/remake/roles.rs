@@ -11,16 +11,26 @@ use sortie_core::{Allocator, Policy};
 use super::contents::{Contents, Shown, Told};
 use super::playback::Playback;
 use crate::deployment::model_id;
+use crate::failure::Failure;
+use crate::run::process::fallback;
 use crate::worlds::RuleAllocator;
 
 /// Frames and allocations that are kept for answers to come: a runner answers the newest frame or the one before.
 const KEPT: usize = 8;
-/// Who decides again.
+
+/// Who decides again by one bundle: a team may have changed its own.
 pub(super) struct Team<'a> {
+    /// Whose decisions are made again, as far as messages name a model; none: everybody's.
+    pub(super) model: Option<u32>,
     /// One for each runner, in the order of their numbers.
     pub(super) policies: Vec<Box<dyn Policy + 'a>>,
-    pub(super) fallback: Option<&'a mut RuleAllocator>,
     pub(super) allocator: Option<Box<dyn Allocator + 'a>>,
+}
+
+impl Team<'_> {
+    fn takes(&self, model: u32) -> bool {
+        self.model.is_none_or(|own| own == model)
+    }
 }
 
 /// What was made again, and what was not.
@@ -36,9 +46,6 @@ pub(super) struct Made {
 
 /// Who judges what is decided again.
 pub(super) trait Judge {
-    /// Whether decisions of this model, as far as messages name it, are to be made again.
-    fn takes(&self, model: u32) -> bool;
-
     /// An answer, and what came of it; `None`: nothing did.
     fn action(&mut self, recorded: &ActionMsg, made: Option<&ActionMsg>, frame: &Shown);
 
@@ -47,49 +54,53 @@ pub(super) trait Judge {
 }
 
 /// A runner that decides again.
-struct Runner<'a> {
+struct Runner {
     role: RunnerRole,
-    policy: Box<dyn Policy + 'a>,
-    /// Its agents remember something.
-    remembers: bool,
-    /// What they remember is what they remembered then, as far as they do; unknown until that was emptied.
+    /// What decided its last answers, as far as they name it.
+    model: u32,
+    /// What its agents remember is what they remembered then; unknown until that was emptied.
     knows: bool,
     is_engine: bool,
     /// Its answers to one frame, until all of them are there.
     waiting: Vec<ActionMsg>,
 }
 
-impl Runner<'_> {
+impl Runner {
     /// Decides what it answered to a frame; none where it does not know what it remembered.
     fn decide(
         &mut self,
         mut link: Playback<'_>,
-        answers: &[ActionMsg],
+        (first, answers): (&ActionMsg, &[ActionMsg]),
+        policy: &mut dyn Policy,
         fallback: Option<&mut RuleAllocator>,
     ) -> Option<Vec<ActionMsg>> {
-        let Self { role, policy, knows, .. } = self;
+        let Self { role, model, knows, .. } = self;
         role.act_for(answers.iter().fold(0, |set, answer| set | 1 << (answer.agent & 63)));
-        // A reload empties what agents remember in the midst of an episode.
-        let emptied = answers.iter().find(|answer| answer.has(ActionMsg::STATE_RESET));
-        if let Some(answer) = emptied {
-            role.change_model(model_of(answer));
+        // A change of the bundle empties what agents remember in the midst of an episode; so does the same one loaded anew.
+        let is_emptied = answers.iter().any(|answer| answer.has(ActionMsg::STATE_RESET));
+        let is_another = std::mem::replace(model, first.model) != first.model;
+        if is_emptied || is_another {
+            role.change_model(model_of(first));
         }
         let polled = match fallback {
             Some(rule) => role.poll_with_heuristic(&mut link, policy, rule),
             None => role.poll(&mut link, policy),
         };
         debug_assert!(polled.is_ok(), "a link that cannot fail");
+        // Agents without a memory never say that it was emptied.
         let empties = link.actions.iter().any(|action| action.has(ActionMsg::STATE_RESET));
-        *knows = emptied.is_some() || (*knows && !empties);
+        *knows = is_emptied || (*knows || is_another) && !empties;
         knows.then_some(link.actions)
     }
 }
 
 /// All roles, and what they are fed with.
 pub(super) struct Roles<'a> {
-    runners: BTreeMap<u32, Runner<'a>>,
-    fallback: Option<&'a mut RuleAllocator>,
-    allocator: Option<(AllocatorRole, Box<dyn Allocator + 'a>)>,
+    /// Each with its place among the policies of every team.
+    runners: BTreeMap<u32, (usize, Runner)>,
+    allocator: AllocatorRole,
+    teams: Vec<Team<'a>>,
+    fallback: Option<RuleAllocator>,
     judge: &'a mut dyn Judge,
     frames: VecDeque<Shown>,
     allocations: VecDeque<AllocMsg>,
@@ -97,12 +108,13 @@ pub(super) struct Roles<'a> {
 }
 
 impl<'a> Roles<'a> {
+    /// The roles of a record; `bundle` is any of those that decide again, for they have one contract.
     pub(super) fn new(
         contents: &Contents,
         bundle: &Bundle,
-        team: Team<'a>,
+        teams: Vec<Team<'a>>,
         judge: &'a mut dyn Judge,
-    ) -> Self {
+    ) -> Result<Self, Failure> {
         let (contract, facts) = (bundle.contract(), &contents.facts);
         let format = contents.format;
         let identity = Identity { model: model_id(bundle), ..Identity::new(0, "remake") };
@@ -116,22 +128,22 @@ impl<'a> Roles<'a> {
             period_ns: facts.period_ns(),
             safe_action: contract.safe_action,
         };
-        let runner = |(pid, mut policy): (&u32, Box<dyn Policy + 'a>)| {
+        let runner = |(place, pid): (usize, &u32)| {
             let is_engine = contents.engines.contains(pid);
-            let (role, remembers) = (RunnerRole::new(options), policy.begin_episode());
-            let (knows, waiting) = (!remembers, Vec::new());
-            (*pid, Runner { role, policy, remembers, knows, is_engine, waiting })
+            let (role, waiting) = (RunnerRole::new(options), Vec::new());
+            (*pid, (place, Runner { role, model: 0, knows: false, is_engine, waiting }))
         };
         let options = AllocatorOptions { format, identity, decision_interval };
-        Self {
-            runners: contents.runners.iter().zip(team.policies).map(runner).collect(),
-            fallback: team.fallback,
-            allocator: team.allocator.map(|it| (AllocatorRole::new(options), it)),
+        Ok(Self {
+            runners: contents.runners.iter().enumerate().map(runner).collect(),
+            allocator: AllocatorRole::new(options),
+            teams,
+            fallback: fallback(bundle)?,
             judge,
             frames: VecDeque::new(),
             allocations: VecDeque::new(),
             made: Made::default(),
-        }
+        })
     }
 
     /// Takes in what the record tells next.
@@ -148,13 +160,13 @@ impl<'a> Roles<'a> {
                 if message.has(ActionMsg::BYE) {
                     return;
                 }
-                let Some(runner) = self.runners.get_mut(&message.runner) else { return };
+                let Some((_, runner)) = self.runners.get(&message.runner) else { return };
                 let is_next =
                     runner.waiting.first().is_some_and(|first| first.tick != message.tick);
                 if is_next {
                     self.answer(message.runner);
                 }
-                if let Some(runner) = self.runners.get_mut(&message.runner) {
+                if let Some((_, runner)) = self.runners.get_mut(&message.runner) {
                     runner.waiting.push(message);
                 }
             }
@@ -180,14 +192,15 @@ impl<'a> Roles<'a> {
 
     /// Has a runner answer again what it answered last.
     pub(super) fn answer(&mut self, runner: u32) {
-        let Some(runner) = self.runners.get_mut(&runner) else { return };
+        let Some((place, runner)) = self.runners.get_mut(&runner) else { return };
         let answers = std::mem::take(&mut runner.waiting);
         let Some(first) = answers.first() else { return };
         let count = answers.len() as u64;
-        if !self.judge.takes(first.model) {
+        let team = self.teams.iter_mut().find(|team| team.takes(first.model));
+        let Some(policy) = team.and_then(|team| team.policies.get_mut(*place)) else {
             self.made.of_others += count;
             return;
-        }
+        };
         if runner.is_engine {
             self.made.of_engines += count;
             return;
@@ -198,11 +211,14 @@ impl<'a> Roles<'a> {
         let frame = found.filter(|_| order == (0, 0) || allocation.is_some());
         let Some(frame) = frame else {
             self.made.before_record += count;
-            runner.knows = !runner.remembers;
+            // What agents remember has gone on without this.
+            runner.knows = !policy.begin_episode();
             return;
         };
         let link = Playback::new(frame, allocation);
-        let Some(made) = runner.decide(link, &answers, self.fallback.as_deref_mut()) else {
+        let fallback = self.fallback.as_mut();
+        let made = runner.decide(link, (first, &answers), policy.as_mut(), fallback);
+        let Some(made) = made else {
             self.made.without_memory += count;
             return;
         };
@@ -215,19 +231,19 @@ impl<'a> Roles<'a> {
 
     /// Has the allocator allocate again what it allocated.
     fn allocate(&mut self, recorded: &AllocMsg) {
-        if !self.judge.takes(recorded.model) {
+        let Some(team) = self.teams.iter_mut().find(|team| team.takes(recorded.model)) else {
             self.made.of_others += 1;
             return;
-        }
+        };
         let frame = self.frames.iter().find(|frame| frame.header.tick == recorded.tick);
-        let (Some(frame), Some((role, allocator))) = (frame, &mut self.allocator) else {
+        let (Some(frame), Some(allocator)) = (frame, &mut team.allocator) else {
             self.made.before_record += 1;
             return;
         };
         // Who begins to lead answers the newest frame, whether or not it asks.
-        role.lead(recorded.term);
+        self.allocator.lead(recorded.term);
         let mut link = Playback::new(frame, None);
-        let polled = role.poll(&mut link, allocator.as_mut());
+        let polled = self.allocator.poll(&mut link, allocator.as_mut());
         self.made.allocations += 1;
         let made = link.allocations.first().ok_or_else(|| match polled {
             Err(error) => format!("refused: {error}"),

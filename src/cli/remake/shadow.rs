@@ -16,7 +16,7 @@ use sortie_learn::draft::DecoratedPolicy;
 use super::Deployed;
 use super::comparison::tasks;
 use super::contents::{Contents, Shown, Told};
-use super::roles::{Judge, Made, Roles};
+use super::roles::{Judge, Made, Roles, Team};
 use crate::allocator::ProposalArguments;
 use crate::failure::Failure;
 use crate::listener::Listener;
@@ -121,10 +121,6 @@ struct Shadow<'a> {
 }
 
 impl Judge for Shadow<'_> {
-    fn takes(&self, _: u32) -> bool {
-        true
-    }
-
     fn action(&mut self, recorded: &ActionMsg, made: Option<&ActionMsg>, _: &Shown) {
         let mut opinions = self.opinions.borrow_mut();
         let place = opinions.iter().position(|it| it.agent == usize::from(recorded.agent));
@@ -212,11 +208,12 @@ fn decide_beside(
     let mut deployed = Deployed::open(contents, bundle, draws)?;
     let counts = RefCell::new((0, 0));
     let opinions = RefCell::new(Vec::new());
-    let mut team = deployed.team()?;
+    // Whoever decided then.
+    let mut team = Team { model: None, ..deployed.team()? };
     team.policies = team.policies.into_iter().map(|policy| aloud(policy, &opinions)).collect();
     let (decided, allocations) = (Vec::new(), Agreement::default());
     let mut shadow = Shadow { opinions: &opinions, counts: &counts, decided, allocations };
-    let mut roles = Roles::new(contents, bundle, team, &mut shadow);
+    let mut roles = Roles::new(contents, bundle, vec![team], &mut shadow)?;
     let frames = tell(&mut |message| roles.hear(message), &counts)?;
     let made = roles.end();
     let Shadow { decided, allocations, .. } = shadow;

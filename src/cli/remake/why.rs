@@ -16,9 +16,8 @@ use super::comparison::Comparison;
 use super::contents::{Contents, Shown, Told};
 use super::reasons::{Allocated, Reasons};
 use super::roles::{Made, Roles};
-use super::{Deployed, choice};
+use super::{Deployed, choice, short_id};
 use crate::allocation::AllocatorChoice;
-use crate::deployment::model_id;
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::{Common, print_json, tell};
 use crate::views::probes::{TeamNetwork, attention_of};
@@ -44,7 +43,7 @@ pub(crate) struct WhyArguments {
     /// Tick in which it did, as /tick of the record counts them
     #[arg(long, value_name = "NUMBER")]
     tick: u32,
-    /// Bundle that decided [default: the one that the record brings along]
+    /// Bundle that decided [default: the one of those that the record brings along]
     #[arg(long, value_name = "FOLDER")]
     bundle: Option<PathBuf>,
     #[command(flatten)]
@@ -53,9 +52,11 @@ pub(crate) struct WhyArguments {
 
 pub(crate) fn run(arguments: &WhyArguments) -> Outcome {
     let contents = Contents::read(&arguments.record)?;
-    let bundle = contents.bundle(arguments.bundle.as_deref())?;
+    let bundles = contents.bundles(arguments.bundle.as_deref())?;
     let asked = Asked::find(&contents, arguments)?;
-    let reasons = reasons(&contents, &bundle, &asked)?;
+    let decided = bundles.iter().find(|bundle| short_id(bundle) == asked.answer.model);
+    let bundle = decided.ok_or_else(|| lacks("the bundle that decided"))?;
+    let reasons = reasons(&contents, bundle, &asked)?;
     if arguments.common.json {
         print_json(&reasons);
     } else {
@@ -135,8 +136,8 @@ fn reasons(contents: &Contents, bundle: &Bundle, asked: &Asked) -> Result<Reason
             false => policy,
         })
         .collect();
-    let mut comparison = Comparison::new(model_id(bundle));
-    let mut roles = Roles::new(contents, bundle, team, &mut comparison);
+    let mut comparison = Comparison::default();
+    let mut roles = Roles::new(contents, bundle, vec![team], &mut comparison)?;
     let (mut is_over, mut allocated) = (false, None);
     contents.replay(&mut |told| {
         is_over |= asked.is_over(&told);
@@ -168,7 +169,6 @@ fn lacks(what: &str) -> Failure {
 fn is_known(before: Made, made: Made) -> Outcome {
     let why_not = [
         (made.before_record > before.before_record, "its frame, or the allocation it acted on"),
-        (made.of_others > before.of_others, "its bundle: another one decided"),
         (made.of_engines > before.of_engines, "its network: it ran in an engine"),
         (made.without_memory > before.without_memory, "what it remembered from before"),
     ];
