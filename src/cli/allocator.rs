@@ -7,6 +7,7 @@ use sortie_core::allocate::{
 };
 use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
 use sortie_core::{AllocateError, Allocator};
+use sortie_ipc::Draws;
 use sortie_learn::subtasks::PROPOSALS;
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
 use sortie_stage::{Search, SearchSizes, TeamValuePlan};
@@ -221,6 +222,16 @@ pub struct ProposalArguments {
 }
 
 impl ProposalArguments {
+    /// Those of a team whose domain says this.
+    pub(crate) fn of(draws: &Draws) -> Self {
+        Self { proposals: draws.proposals }
+    }
+
+    /// What a domain says of a team that draws with this seed.
+    pub(crate) fn draws(self, seed: u64) -> Draws {
+        Draws::new(seed, self.proposals)
+    }
+
     /// As many as were asked for, if any.
     pub fn asked(self) -> Option<usize> {
         self.proposals.map(usize::from)

@@ -61,6 +61,7 @@ pub fn domain_contract(bundle: &Bundle, allocation: Option<AllocatorChoice>) -> 
         model: model_id(bundle),
         bundle: bundle_name(bundle.folder()),
         allocation: allocation.map(|choice| choice.name().to_string()),
+        draws: None,
         mixes_teams: false,
         fields,
     }

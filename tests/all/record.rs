@@ -326,6 +326,25 @@ fn whatever_is_changed_in_a_record_that_a_decision_read_or_made_is_named() {
     }
 }
 
+/// A rule that draws does so from the seed of its team, which the record has.
+#[test]
+fn what_an_allocator_drew_is_drawn_again() {
+    let domain = TestDomain::new("drawn");
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("run.mcap");
+    let name = file.to_str().expect("a name");
+    let up = Playing::with(
+        &domain,
+        &["--rate", "200", "--allocation", "random", "--seed", "18446744073709551615"],
+    );
+    let record = ["record", BUNDLE, "--output", name, "--ticks", "200", "--json"];
+    json(&[&record[..], &["--domain", &domain.id]].concat());
+    up.shut_down(&domain);
+    let remade = json(&["remake", name, "--json"]);
+    assert_eq!(remade["different"], 0, "{remade}");
+    assert!(remade["allocations"].as_u64() > Some(10), "{remade}");
+}
+
 /// What happens to a team at 1 kHz all the time: its allocator steps down or is killed, so are runners, or all change the bundle.
 fn disturb(domain: &TestDomain, turn: usize) {
     let order = |order: &[&str]| output(&[&["control"], order, &["--domain", &domain.id]].concat());
@@ -355,7 +374,7 @@ fn what_a_team_did_under_kills_and_changes_is_made_again() {
     let file = folder.path().join("run.mcap");
     let name = file.to_str().expect("a name");
     let ticks = std::env::var("TICKS").unwrap_or_else(|_| "10000".to_owned());
-    let up = Playing::at(&domain, "1000");
+    let up = Playing::with(&domain, &["--rate", "1000"]);
     let record =
         ["record", BUNDLE, "--output", name, "--ticks", &ticks, "--json", "--domain", &domain.id];
     let mut recorder = sortie(&record).stdout(Stdio::piped()).spawn().expect("it starts");

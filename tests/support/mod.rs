@@ -104,13 +104,13 @@ pub(crate) struct Playing(pub(crate) Child);
 
 impl Playing {
     pub(crate) fn new(domain: &TestDomain) -> Self {
-        Self::at(domain, "100")
+        Self::with(domain, &["--rate", "100"])
     }
 
-    /// At so many ticks a second.
-    pub(crate) fn at(domain: &TestDomain, rate: &str) -> Self {
-        let up = ["up", BUNDLE, "--domain", &domain.id, "--quiet", "--isolate", "--rate", rate];
-        let mut up = sortie(&up);
+    /// At another rate, or otherwise different.
+    pub(crate) fn with(domain: &TestDomain, more: &[&str]) -> Self {
+        let mut up = sortie(&["up", BUNDLE, "--domain", &domain.id, "--quiet", "--isolate"]);
+        up.args(more);
         let up = up.stdout(Stdio::null()).stderr(Stdio::null()).spawn();
         let up = Self(up.expect("the command line starts"));
         wait_until("everybody is there", || {

@@ -24,7 +24,7 @@ mod threads;
 pub use control::{Answer, Order, control};
 pub use doctor::{Finding, Severity, examine};
 pub use domain::{
-    BellKind, Domain, DomainContract, DomainFacts, Lock, Membership, Starting, TeamBundle,
+    BellKind, Domain, DomainContract, DomainFacts, Draws, Lock, Membership, Starting, TeamBundle,
     TeamBundles, model_text,
 };
 pub use doorbell::Doorbell;

@@ -14,6 +14,7 @@ use sortie_record::{Reader, Record, RecordError};
 use tempfile::TempDir;
 use zerocopy::FromBytes;
 
+use crate::allocator::ProposalArguments;
 use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure};
 
@@ -134,6 +135,12 @@ impl Contents {
         let (path, folder) = (self.path.display(), bundle.folder().display());
         let message = format!("{path} is of contract {theirs:016x}, {folder} has {ours:016x}");
         Err(Failure::new(Exit::Mismatch, message))
+    }
+
+    /// From what its allocator drew.
+    pub(super) fn draws(&self) -> (u64, ProposalArguments) {
+        let draws = self.facts.draws().cloned().unwrap_or_default();
+        (draws.seed(), ProposalArguments::of(&draws))
     }
 
     /// The bundle in this folder, else those that the record brings along: one at least.

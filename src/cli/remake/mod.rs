@@ -46,8 +46,6 @@ pub(crate) struct RemakeArguments {
     #[arg(long, value_name = "FOLDER")]
     bundle: Option<PathBuf>,
     #[command(flatten)]
-    proposals: ProposalArguments,
-    #[command(flatten)]
     common: Common,
 }
 
@@ -67,7 +65,7 @@ struct Remade<'a> {
 pub(crate) fn run(arguments: &RemakeArguments) -> Outcome {
     let contents = Contents::read(&arguments.record)?;
     let bundles = contents.bundles(arguments.bundle.as_deref())?;
-    let draws = (arguments.common.seed, arguments.proposals);
+    let draws = contents.draws();
     let deployed = bundles.iter().map(|bundle| Deployed::open(&contents, bundle, draws));
     let mut deployed = deployed.collect::<Result<Vec<_>, _>>()?;
     let teams = deployed.iter_mut().map(Deployed::team).collect::<Result<_, _>>()?;

@@ -18,7 +18,8 @@ use console::Term;
 use sortie_bundle::Bundle;
 use sortie_core::Allocator;
 use sortie_ipc::{
-    Children, Domain, InProcess, Stop, WorldSettings, group_agents, run_in_process, world_process,
+    Children, Domain, DomainContract, InProcess, Stop, WorldSettings, group_agents, run_in_process,
+    world_process,
 };
 
 use self::onlooker::{Display, Onlooker};
@@ -219,7 +220,8 @@ fn play_as_processes(
         }
         Ok(())
     };
-    let contract = domain_contract(bundle, allocation);
+    let draws = allocation.map(|_| team.proposals.draws(team.seed));
+    let contract = DomainContract { draws, ..domain_contract(bundle, allocation) };
     world_process(
         &domain,
         &contract,

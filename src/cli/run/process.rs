@@ -86,7 +86,8 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
         _ => AllocatorChoice::of_bundle(&bundle, arguments.allocation)?,
     };
     let mixes_teams = arguments.mix_teams;
-    let contract = DomainContract { mixes_teams, ..domain_contract(&bundle, allocation) };
+    let draws = allocation.map(|_| arguments.proposals.draws(arguments.seed));
+    let contract = DomainContract { mixes_teams, draws, ..domain_contract(&bundle, allocation) };
     // Rules run none.
     let runs_network =
         arguments.role == Role::Runner || allocation == Some(AllocatorChoice::Learned);

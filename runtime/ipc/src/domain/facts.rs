@@ -37,10 +37,33 @@ pub struct DomainContract {
     pub bundle: Option<String>,
     /// Who allocates; `None` where it does not matter to this process.
     pub allocation: Option<String>,
+    /// From what it draws.
+    pub draws: Option<Draws>,
     /// Whether a team of another bundle, or one that allocates otherwise, is joined as well.
     pub mixes_teams: bool,
     /// All fields by name, so that a mismatch can name the first that differs.
     pub fields: toml::Table,
+}
+
+/// From what a team's allocator draws, if it does: whoever has it decides the same.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Draws {
+    /// Decimal: TOML has no unsigned 64-bit numbers.
+    seed: String,
+    /// How many allocations are proposed, where somebody said how many.
+    pub proposals: Option<u16>,
+}
+
+impl Draws {
+    /// Those of this seed.
+    pub fn new(seed: u64, proposals: Option<u16>) -> Self {
+        Self { seed: seed.to_string(), proposals }
+    }
+
+    /// Of the generator.
+    pub fn seed(&self) -> u64 {
+        self.seed.parse().unwrap_or(0)
+    }
 }
 
 /// What a running domain is.
@@ -61,6 +84,7 @@ pub struct DomainFacts {
     private: bool,
     allocation: Option<String>,
     bundles: TeamBundles,
+    draws: Option<Draws>,
     contract: toml::Table,
 }
 
@@ -84,6 +108,7 @@ impl DomainFacts {
                 name: contract.bundle.clone().unwrap_or_default(),
                 model: model_text(contract.model),
             }),
+            draws: contract.draws.clone(),
             contract: contract.fields.clone(),
         }
     }
@@ -117,6 +142,11 @@ impl DomainFacts {
     /// Who allocates, where the world says so.
     pub fn allocation(&self) -> Option<&str> {
         self.allocation.as_deref()
+    }
+
+    /// From what they draw, where the world says so.
+    pub fn draws(&self) -> Option<&Draws> {
+        self.draws.as_ref()
     }
 
     /// Nanoseconds from frame to frame; 0 = as long as the team takes.

@@ -15,7 +15,7 @@ use sortie_core::identity::fnv1a;
 use crate::error::Error;
 
 pub use bundles::{TeamBundle, TeamBundles, model_text};
-pub use facts::{DomainContract, DomainFacts};
+pub use facts::{DomainContract, DomainFacts, Draws};
 pub(crate) use facts::{nanoseconds, read_file, write_file};
 pub use membership::{Lock, Membership, Starting};
 
