@@ -232,8 +232,10 @@ fn serves_other_verbs(name: &str) {
     let all = |told: &Value, key: &str| {
         ["same", "of"].map(|part| told[key][part].as_u64().expect("a count"))
     };
-    let [same, of] = all(&own, "agreement");
-    assert!(same == of && remade["actions"] == of, "{own}");
+    let [asked, of] = all(&own, "agreement");
+    // Agents whose allocation came too late did what is safe, and no policy was asked.
+    let all_made = remade["actions"].as_u64().expect("a count");
+    assert!(asked == of && (all_made * 9 / 10..=all_made).contains(&of), "{own}");
     let [same, of] = all(&own, "allocations");
     assert!(same == of && of > 0, "{own}");
     let other = json(&["eval", "models/save-the-city-large", "--on", name, "--json"]);
@@ -247,10 +249,7 @@ fn serves_other_verbs(name: &str) {
     assert_fails(&refused, 78, &["is of contract", "models/routing has"]);
     let verified =
         json(&["verify", BUNDLE, "--observations", name, "--against", "golden", "--json"]);
-    assert!(
-        verified.to_string().contains(&format!("\"inputs\":{of}", of = remade["actions"])),
-        "{verified}"
-    );
+    assert!(verified.to_string().contains(&format!("\"inputs\":{asked}")), "{verified}");
 }
 
 /// Reasons are those of the decision in the record.
@@ -276,11 +275,32 @@ fn explains(whole: &[u8], name: &str) {
     let others = |place: &&Value| place["instead"].as_f64().is_some_and(|gain| gain > 1e-3);
     assert_eq!(places.iter().filter(own).count(), 1, "{told}");
     assert_eq!(places.iter().filter(others).count(), 0, "{told}");
+    assert_eq!(told["allocation"]["regret"], 0.0, "{told}");
     let text = String::from_utf8(output(&asked).stdout).expect("text");
     let words = ["did: ", "utilities: ", "attended to: ", "saw of itself: ", "with it instead"];
     assert!(words.iter().all(|word| text.contains(word)), "{text}");
     let never = ["why", name, "--agent", &agent, "--tick", "4000000000"];
     assert_fails(&output(&never), 66, &["no action of agent"]);
+}
+
+/// The same of a running team, of whatever an agent does next. A rule allocates, which is not always as good as the network.
+#[test]
+fn reasons_are_told_of_a_running_team() {
+    let domain = TestDomain::new("why");
+    let up = Playing::with(&domain, &["--rate", "100", "--allocation", "random"]);
+    let why = ["why", "--agent", "1", "--bundle", BUNDLE, "--domain", &domain.id, "--json"];
+    let told: Vec<Value> = (0..5).map(|_| json(&why)).collect();
+    up.shut_down(&domain);
+    for told in &told {
+        let best = &told["actions"][0];
+        assert!(told["agent"] == 1 && best["action"] == told["action"], "{told}");
+        assert!(told["allocation"]["regret"].as_f64() > Some(-0.01), "{told}");
+    }
+    let ticks = told.windows(2).all(|two| two[0]["tick"].as_u64() < two[1]["tick"].as_u64());
+    assert!(ticks, "{told:?}");
+    assert!(told.iter().any(|told| told["allocation"]["regret"].as_f64() > Some(0.1)), "{told:?}");
+    let without = output(&["why", "--agent", "1", "--domain", &domain.id]);
+    assert_fails(&without, 2, &["required arguments"]);
 }
 
 #[test]

@@ -26,6 +26,10 @@ pub(super) struct Shown {
 }
 
 impl Shown {
+    fn new(header: &FrameHeader, payload: &[u8]) -> Self {
+        Self { header: *header, payload: AlignedBytes::copy_of(payload) }
+    }
+
     pub(super) fn view(&self, format: &FrameFormat) -> Result<FrameView<'_>, Failure> {
         FrameView::new(&self.header, self.payload.as_slice(), format)
             .map_err(|error| Failure::new(Exit::BadData, error.to_string()))
@@ -43,13 +47,20 @@ impl Told {
     /// What a running team said, where it is of a decision.
     pub(super) fn of(heard: Heard<'_>) -> Option<Self> {
         match heard {
-            Heard::Frame(header, payload) => {
-                let payload = AlignedBytes::copy_of(payload);
-                Some(Self::Frame(Shown { header: *header, payload }))
-            }
+            Heard::Frame(header, payload) => Some(Self::Frame(Shown::new(header, payload))),
             Heard::Action(action) => Some(Self::Action(*action)),
             Heard::Allocation(allocation) => Some(Self::Allocation(*allocation)),
             Heard::Status(_) => None,
+        }
+    }
+
+    fn again(&self) -> Self {
+        match self {
+            Self::Frame(Shown { header, payload }) => {
+                Self::Frame(Shown::new(header, payload.as_slice()))
+            }
+            Self::Action(action) => Self::Action(*action),
+            Self::Allocation(allocation) => Self::Allocation(*allocation),
         }
     }
 }
@@ -57,6 +68,8 @@ impl Told {
 /// A record, read once to know what is in it.
 pub(super) struct Contents {
     path: PathBuf,
+    /// What was heard of a running team, in the place of a file.
+    heard: Option<Vec<Told>>,
     pub(super) facts: DomainFacts,
     pub(super) format: FrameFormat,
     /// Processes that answered.
@@ -106,8 +119,18 @@ impl Contents {
         let facts: DomainFacts = toml::from_str(&domain).map_err(|error| bad(path, error))?;
         // A record of others may state sizes that no domain has.
         let format = facts.format().map_err(|error| bad(path, error))?;
-        let path = path.to_owned();
-        Ok(Self { path, facts, format, runners, engines, frames, torn_at, attached })
+        let (path, heard) = (path.to_owned(), None);
+        Ok(Self { path, heard, facts, format, runners, engines, frames, torn_at, attached })
+    }
+
+    /// Whether what an answer was given to was heard of a running team.
+    pub(super) fn has_what_it_saw(&self, answer: &ActionMsg) -> bool {
+        let order = (answer.alloc_term, answer.alloc_epoch);
+        let heard = self.heard.iter().flatten();
+        let is_frame =
+            |told: &Told| matches!(told, Told::Frame(it) if it.header.tick == answer.tick);
+        let is_its = |told: &Told| matches!(told, Told::Allocation(it) if it.order() == order);
+        heard.clone().any(is_frame) && (order == (0, 0) || heard.clone().any(is_its))
     }
 
     /// What a running team is, which tells the rest itself.
@@ -117,8 +140,29 @@ impl Contents {
         let runners = processes.iter().filter(|process| process.role == Role::Runner);
         let runners =
             runners.filter(|process| !process.serves).map(|process| process.pid).collect();
-        let (facts, engines, attached) = (facts.clone(), BTreeSet::new(), BTreeMap::new());
-        Ok(Self { path, facts, format, runners, engines, frames: 0, torn_at: None, attached })
+        Ok(Self {
+            path,
+            heard: Some(Vec::new()),
+            facts: facts.clone(),
+            format,
+            runners,
+            engines: BTreeSet::new(),
+            frames: 0,
+            torn_at: None,
+            attached: BTreeMap::new(),
+        })
+    }
+
+    /// Keeps what a running team said.
+    pub(super) fn hear(&mut self, heard: Heard<'_>) {
+        match heard {
+            Heard::Action(action) => drop(self.runners.insert(action.runner)),
+            Heard::Status(status) if status.has(StatMsg::GRAPH) => {
+                self.engines.insert(status.pid);
+            }
+            Heard::Frame(..) | Heard::Allocation(_) | Heard::Status(_) => {}
+        }
+        self.heard.get_or_insert_default().extend(Told::of(heard));
     }
 
     /// Where it comes from.
@@ -157,6 +201,10 @@ impl Contents {
 
     /// Tells all frames, actions and allocations, in their order.
     pub(super) fn replay(&self, tell: &mut dyn FnMut(Told)) -> Result<(), Failure> {
+        if let Some(heard) = &self.heard {
+            heard.iter().for_each(|told| tell(told.again()));
+            return Ok(());
+        }
         let mut topics = Topics::default();
         each(&self.path, &mut |record| {
             let Record::Message(message, data) = record else {
@@ -167,8 +215,7 @@ impl Contents {
                 Some("/frame") => {
                     let (header, payload) = FrameHeader::read_from_prefix(data)
                         .map_err(|_| "a frame is shorter than its head".to_owned())?;
-                    let payload = AlignedBytes::copy_of(payload);
-                    tell(Told::Frame(Shown { header, payload }));
+                    tell(Told::Frame(Shown::new(&header, payload)));
                 }
                 Some("/action") => tell(Told::Action(read(data)?)),
                 Some("/allocation") => tell(Told::Allocation(read(data)?)),

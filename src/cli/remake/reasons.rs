@@ -56,6 +56,10 @@ pub(super) struct Allocated {
     epoch: u32,
     /// A fallback rule made it.
     heuristic: bool,
+    /// What the network expects of all teams together; none where no network values teams.
+    value: Option<f64>,
+    /// By how much more it expects of the best allocation that the search finds by it.
+    regret: Option<f64>,
     /// Open subtasks.
     tasks: Vec<Place>,
 }
@@ -71,21 +75,23 @@ struct Place {
     instead: Option<f64>,
 }
 
+/// The agents that are there and work on a subtask.
+fn team_on(task: usize, tasks: &[u8], state: &AllocationState<'_>) -> u64 {
+    let given = tasks.iter().take(state.agents).enumerate();
+    let members = given
+        .filter(|(member, given)| usize::from(**given) == task && state.present.contains(*member));
+    members.fold(0, |team, (member, _)| team | 1 << member)
+}
+
 impl Allocated {
-    /// By what is asked of the network that allocated, if one did that can be asked.
+    /// By what is asked of the team's network, if it has one that values teams, and by the allocation that is best by it.
     pub(super) fn new(
         allocation: &AllocMsg,
         state: &AllocationState<'_>,
         (agent, team_max): (u16, usize),
-        mut values: Option<&mut OfState<'_>>,
+        (mut values, best): (Option<&mut OfState<'_>>, Option<&[u8]>),
     ) -> Result<Self, AllocateError> {
-        let team_of = |task: usize| {
-            let given = allocation.task.iter().take(state.agents).enumerate();
-            let members = given.filter(|(member, given)| {
-                usize::from(**given) == task && state.present.contains(*member)
-            });
-            members.fold(0_u64, |team, (member, _)| team | 1 << member)
-        };
+        let team_of = |task: usize| team_on(task, &allocation.task, state);
         let own = allocation.task.get(usize::from(agent)).copied().unwrap_or(UNASSIGNED);
         let itself = 1_u64 << agent;
         let mut ask = |task: usize, team: u64| match &mut values {
@@ -113,17 +119,24 @@ impl Allocated {
             let team = (0..state.agents).filter(|member| team >> member & 1 == 1).collect();
             tasks.push(Place { task, team, value: value.map(rounded), instead });
         }
+        let mut of_all = |given: &[u8]| -> Result<Option<f64>, AllocateError> {
+            tasks.iter().map(|place| ask(place.task, team_on(place.task, given, state))).sum()
+        };
+        let value = of_all(&allocation.task)?;
+        let best = best.map_or(Ok(None), &mut of_all)?;
         Ok(Self {
             tick: allocation.tick as u32,
             term: allocation.term,
             epoch: allocation.epoch,
             heuristic: allocation.flags & AllocMsg::HEURISTIC != 0,
+            value: value.map(rounded),
+            regret: best.zip(value).map(|(best, value)| rounded(best - value)),
             tasks,
         })
     }
 
     fn print(&self) {
-        let Self { tick, term, epoch, heuristic, tasks } = self;
+        let Self { tick, term, epoch, heuristic, value, regret, tasks } = self;
         let by = if *heuristic { ", by a fallback rule" } else { "" };
         say!();
         say!("allocation {epoch} of term {term}, of tick {tick}{by}");
@@ -140,6 +153,11 @@ impl Allocated {
             table.row(cells);
         }
         table.print();
+        if let (Some(value), Some(regret)) = (value, regret) {
+            say!(
+                "all subtasks: {value:.3}; regret, beside the best that the search finds: {regret:.3}"
+            );
+        }
     }
 }
 
@@ -255,6 +273,7 @@ mod tests {
     #[test]
     fn another_subtask_is_judged_by_what_all_of_them_would_be_worth() {
         let given = [0, 0, 1, UNASSIGNED];
+        let best = [2, 2, 1, 1];
         let mut allocation = AllocMsg::new_zeroed();
         allocation.task = [UNASSIGNED; _];
         allocation.task[..4].copy_from_slice(&given);
@@ -272,9 +291,15 @@ mod tests {
             Ok(teams.iter().map(|team| worth(task, *team) as f32).collect())
         };
         for agent in 0..4 {
-            let made = Allocated::new(&allocation, &state, (agent, 2), Some(&mut values));
+            let made =
+                Allocated::new(&allocation, &state, (agent, 2), (Some(&mut values), Some(&best)));
             let made = made.expect("nobody refuses");
             assert_eq!(made.tasks.len(), 3);
+            let is = |told: Option<f64>, expected| {
+                told.is_some_and(|told| (told - expected).abs() < 2e-3)
+            };
+            let [of_given, of_best] = [given, best].map(|tasks| total(&tasks, 0b111));
+            assert!(is(made.value, of_given) && is(made.regret, of_best - of_given), "{made:?}");
             for place in made.tasks {
                 let mut moved = given;
                 moved[usize::from(agent)] = place.task as u8;

@@ -2,12 +2,14 @@
 
 use std::cell::{Cell, RefCell};
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use sortie_bundle::Bundle;
 use sortie_core::Policy;
 use sortie_core::choose::masked_argmax;
 use sortie_core::wire::{ActionMsg, AllocMsg};
+use sortie_ipc::{Domain, Heard};
 use sortie_learn::draft::DecoratedPolicy;
 use sortie_plans::AttentionProbe;
 use sortie_stage::Thought;
@@ -16,44 +18,65 @@ use super::comparison::Comparison;
 use super::contents::{Contents, Shown, Told};
 use super::reasons::{Allocated, Reasons};
 use super::roles::{Made, Roles};
-use super::{Deployed, choice, short_id};
-use crate::allocation::AllocatorChoice;
+use super::{Deployed, short_id};
+use crate::deployment::open_bundle;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::listener::Listener;
 use crate::output::{Common, print_json, tell};
+use crate::policy::{Backend, DeployedPolicy};
 use crate::views::probes::{TeamNetwork, attention_of};
 
 /// How many ticks after its frame an answer may still come.
 const PATIENCE: u64 = 3;
+/// The longest sleep between two looks at a running team.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// How long a running team is listened to, which may have to begin an episode first.
+const LISTEN_FOR: Duration = Duration::from_secs(60);
 
-/// Tell why an agent of a recorded team did what it did
+/// Tell why an agent of a team did what it did, in a record or just now
 ///
 /// What it saw of itself, the utilities of all actions that it could take, whom it attended to, which subtask it acted for, and
 /// what the allocator's network expected of every team then: its own subtask beside the others where it could have worked
 /// instead. All of it is computed anew from the record, as `sortie remake` does, with the bits of the deployed network.
+///
+/// Without a record it is of a running team: of the agent's next decision that can be made again, which for one that remembers is
+/// in the next episode. The team does not notice.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie why run.mcap --agent 3 --tick 812
-  sortie why run.mcap --agent 0 --tick 17 --json")]
+  sortie why run.mcap --agent 0 --tick 17 --json
+  sortie why --agent 3 --bundle models/save-the-city    # of a team that is up, now")]
 pub(crate) struct WhyArguments {
     /// The record, as `sortie record` writes it
-    record: PathBuf,
+    #[arg(requires = "tick")]
+    record: Option<PathBuf>,
     /// Agent that decided
     #[arg(long, value_name = "NUMBER")]
     agent: u16,
     /// Tick in which it did, as /tick of the record counts them
-    #[arg(long, value_name = "NUMBER")]
-    tick: u32,
+    #[arg(long, value_name = "NUMBER", requires = "record")]
+    tick: Option<u32>,
     /// Bundle that decided [default: the one of those that the record brings along]
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "FOLDER", required_unless_present = "record")]
     bundle: Option<PathBuf>,
+    /// Domain of a running team
+    #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
+    domain: String,
     #[command(flatten)]
     common: Common,
 }
 
 pub(crate) fn run(arguments: &WhyArguments) -> Outcome {
-    let contents = Contents::read(&arguments.record)?;
-    let bundles = contents.bundles(arguments.bundle.as_deref())?;
-    let asked = Asked::find(&contents, arguments)?;
+    let named = arguments.bundle.as_deref();
+    let (contents, asked) = match &arguments.record {
+        Some(record) => {
+            let contents = Contents::read(record)?;
+            let asked = Asked::find(&contents, arguments)?;
+            (contents, asked)
+        }
+        None => overheard(arguments)?,
+    };
+    let bundles = contents.bundles(named)?;
     let decided = bundles.iter().find(|bundle| short_id(bundle) == asked.answer.model);
     let bundle = decided.ok_or_else(|| lacks("the bundle that decided"))?;
     let reasons = reasons(&contents, bundle, &asked)?;
@@ -75,7 +98,8 @@ struct Asked {
 impl Asked {
     /// The newest of this tick: ticks are counted anew where another world takes over.
     fn find(contents: &Contents, arguments: &WhyArguments) -> Result<Self, Failure> {
-        let WhyArguments { agent, tick, .. } = *arguments;
+        let WhyArguments { agent, .. } = *arguments;
+        let tick = arguments.tick.unwrap_or_default();
         let mut found = None;
         contents.replay(&mut |told| match told {
             Told::Action(it) if !it.has(ActionMsg::BYE) => {
@@ -89,8 +113,12 @@ impl Asked {
             let message = format!("the record has no action of agent {agent} in tick {tick}");
             Failure::new(Exit::Missing, message)
         })?;
+        Ok(Self::new(contents, answer))
+    }
+
+    fn new(contents: &Contents, answer: ActionMsg) -> Self {
         let runner = contents.runners.iter().position(|pid| *pid == answer.runner);
-        Ok(Self { answer, runner: runner.unwrap_or_default() })
+        Self { answer, runner: runner.unwrap_or_default() }
     }
 
     /// The allocation that it acted on, if this is it.
@@ -113,6 +141,44 @@ impl Asked {
             Told::Allocation(_) => false,
         }
     }
+}
+
+/// Listens to a running team until its agent has decided something that can be decided again.
+fn overheard(arguments: &WhyArguments) -> Result<(Contents, Asked), Failure> {
+    let WhyArguments { agent, bundle, domain, .. } = arguments;
+    let remembers = match bundle {
+        Some(folder) => {
+            let bundle = open_bundle(folder)?;
+            DeployedPolicy::open(&bundle, Backend::Plan)?.team()?.begin_episode()
+        }
+        None => false,
+    };
+    let mut listener = Listener::enter(&Domain::new(domain)?, "why")?;
+    let mut contents = Contents::of_team(listener.facts(), &[])?;
+    let (mut knows, began) = (!remembers, Instant::now());
+    let answer = loop {
+        let mut answer = None;
+        listener.look(&mut |heard, _| {
+            if let Heard::Action(it) = heard
+                && it.agent == *agent
+                && !it.has(ActionMsg::BYE)
+            {
+                knows |= it.has(ActionMsg::STATE_RESET);
+                answer = answer.or(Some(*it).filter(|it| knows && contents.has_what_it_saw(it)));
+            }
+            contents.hear(heard);
+        })?;
+        if let Some(answer) = answer {
+            break answer;
+        }
+        if listener.is_alone() || began.elapsed() > LISTEN_FOR {
+            let message = format!("agent {agent} has decided nothing that can be decided again");
+            return Err(Failure::new(Exit::Missing, message));
+        }
+        listener.wait(LOOK_EVERY);
+    };
+    let asked = Asked::new(&contents, answer);
+    Ok((contents, asked))
 }
 
 /// Plays the record up to the answer, and has it given aloud.
@@ -178,7 +244,7 @@ fn is_known(before: Made, made: Made) -> Outcome {
     }
 }
 
-/// What the allocator's network thought of an allocation; the tasks alone where no network values teams.
+/// What the team's network thinks of an allocation, whoever made it; the tasks alone where no network values teams.
 fn worth(
     contents: &Contents,
     bundle: &Bundle,
@@ -187,14 +253,13 @@ fn worth(
 ) -> Result<Allocated, Failure> {
     let view = frame.view(&contents.format)?;
     let state = view.allocation_state();
-    let choice = contents.facts.allocation().map(choice).transpose()?;
-    let is_learned = choice == Some(AllocatorChoice::Learned);
-    let is_rule = allocation.flags & AllocMsg::HEURISTIC != 0;
-    let values_teams = is_learned && !is_rule && bundle.allocator_onnx().is_some();
-    let mut values = values_teams.then(|| TeamNetwork::open(bundle)).transpose()?;
-    let mut values = values.as_mut().map(|values| values.of_state(state)).transpose()?;
+    let values_teams = bundle.allocator_onnx().is_some();
+    let mut network = values_teams.then(|| TeamNetwork::open(bundle)).transpose()?;
+    let best = network.as_mut().map(|network| network.best(&state)).transpose()?;
+    let mut values = network.as_mut().map(|network| network.of_state(state)).transpose()?;
     let team_max = usize::from(bundle.manifest().limits.team_max);
-    Allocated::new(allocation, &state, (agent, team_max), values.as_deref_mut())
+    let judged = (values.as_deref_mut(), best.as_deref());
+    Allocated::new(allocation, &state, (agent, team_max), judged)
         .map_err(|error| Failure::new(Exit::BadData, error.to_string()))
 }
 

@@ -3,7 +3,7 @@
 use sortie_bundle::Bundle;
 use sortie_core::allocate::{TaskRelation, TeamQuery, TeamValueNetwork};
 use sortie_core::choose::masked_argmax;
-use sortie_core::{AllocateError, AllocationState, Policy};
+use sortie_core::{AllocateError, AllocationState, Allocator, Policy, UNASSIGNED};
 use sortie_envs::Environment;
 use sortie_learn::LearnError;
 use sortie_learn::draft::DecoratedPolicy;
@@ -95,6 +95,15 @@ impl TeamNetwork {
     pub(crate) fn open(bundle: &Bundle) -> Result<Self, Failure> {
         let related = relation(entry_of(bundle)?)?;
         Ok(Self { learned: DeployedLearned::open(bundle, Backend::Plan)?, related })
+    }
+
+    /// The allocation that the search finds by it, a subtask for every agent.
+    pub(crate) fn best(&mut self, state: &AllocationState<'_>) -> Result<Vec<u8>, Failure> {
+        let mut tasks = vec![UNASSIGNED; state.agents];
+        let mut allocator = self.learned.allocator()?;
+        let found = allocator.allocate(state, &mut tasks);
+        found.map_err(|error| Failure::new(Exit::BadData, error.to_string()))?;
+        Ok(tasks)
     }
 
     /// What teams are worth in a state.
