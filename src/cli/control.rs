@@ -105,6 +105,10 @@ impl OrderArgument {
 pub(crate) fn run(arguments: &ControlArguments) -> Outcome {
     let domain = Domain::new(&arguments.domain)?;
     if let Some(swap) = arguments.order.swap() {
+        if arguments.process.is_some() {
+            let message = "a team changes its bundle as a whole: leave out --process";
+            return Err(Failure::new(Exit::Usage, message));
+        }
         return swap::run(&swap, &domain, arguments.json);
     }
     let order = arguments.order.order(arguments.process);

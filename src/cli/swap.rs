@@ -12,7 +12,7 @@ use sortie_ipc::{Answer, Domain, ProcessInfo, Readiness, Stop, Swap, model_text}
 
 use crate::allocation::AllocatorChoice;
 use crate::allocator::{DeployedAllocator, ProposalArguments};
-use crate::deployment::{beside, bundle_name, model_id, open_bundle};
+use crate::deployment::{beside, bundle_name, is_bundle_name, model_id, open_bundle};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::listener::Listener;
 use crate::output::{print_json, say};
@@ -143,12 +143,15 @@ pub(crate) fn run(arguments: &SwapArguments, domain: &Domain, json: bool) -> Out
             return Err(Failure::difference(message));
         }
     }
+    let before = before(arguments, domain)?;
     let ticks = watched_ticks(domain, arguments.watch)?;
     let changed = swap.change(moment(arguments.at), arguments.turn_back(), ticks)?;
     changed.map_err(|told| refused(&told))?;
     let processes = await_change(&swap, &bundle, &stop)?;
-    let cause =
-        if arguments.back_if.is_empty() { None } else { watch(arguments, &swap, domain, &stop)? };
+    let cause = match arguments.back_if.is_empty() {
+        true => None,
+        false => watch(arguments, before, &swap, domain, &stop)?,
+    };
     if json {
         let processes = processes.iter().map(SwappedProcess::new).collect();
         let (domain, bundle, turned_back) = (domain.id(), swap.name(), cause.is_some());
@@ -289,25 +292,35 @@ fn await_change(swap: &Swap, bundle: &Bundle, stop: &Stop) -> Result<Vec<Process
     }
 }
 
+/// The bundle in use, where it is to be asked after the change, and what it may find otherwise.
+fn before(arguments: &SwapArguments, domain: &Domain) -> Result<Option<(Bundle, f64)>, Failure> {
+    let Some(most) = arguments.most_otherwise() else { return Ok(None) };
+    let facts = domain.facts()?;
+    let name = facts.map(|facts| facts.bundles().in_use().name.clone()).unwrap_or_default();
+    if !is_bundle_name(&name) {
+        let message = "a disagreement is found by the bundle in use, and its folder has no name to find it by";
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    Ok(Some((open_bundle(&folder_beside(&arguments.bundle, &name)?)?, most)))
+}
+
 /// Watches over the new bundle. Returns why the team has turned back, if it has.
 fn watch(
     arguments: &SwapArguments,
+    before: Option<(Bundle, f64)>,
     swap: &Swap,
     domain: &Domain,
     stop: &Stop,
 ) -> Result<Option<&'static str>, Failure> {
     let (begun, span) = (Instant::now(), Duration::from_nanos(arguments.watch));
-    let is_over = || begun.elapsed() >= span || stop.is_set();
-    if let Some(most) = arguments.most_otherwise() {
-        let facts = domain.facts()?;
-        let name = facts.map(|facts| facts.bundles().other().name.clone()).unwrap_or_default();
-        let before = open_bundle(&folder_beside(&arguments.bundle, &name)?)?;
+    let is_over = || begun.elapsed() >= span;
+    if let Some((before, most)) = before {
         let is_too_much =
             |same: u64, of: u64| of >= LEAST_ACTIONS && (of - same) as f64 > most * of as f64;
         let mut is_otherwise = false;
         let mut goes_on = |same, of| {
             is_otherwise = is_too_much(same, of);
-            !is_otherwise && !is_over()
+            !is_otherwise && !is_over() && !stop.is_set()
         };
         decide_beside(swap, domain, &before, &mut goes_on)?;
         if is_otherwise && !has_turned_back(swap)? {
@@ -318,6 +331,10 @@ fn watch(
     while !is_over() {
         if has_turned_back(swap)? {
             break;
+        }
+        if stop.is_set() {
+            let message = "interrupted: the change is made, and this no longer watches over it";
+            return Err(Failure::new(Exit::Interrupted, message));
         }
         std::thread::sleep(LOOK_EVERY);
     }

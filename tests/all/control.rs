@@ -70,6 +70,8 @@ fn a_team_that_is_up_does_what_it_is_told() {
     let large = model(&reloaded);
     assert!(large != small && processes.iter().all(|process| process["model"] == large));
     assert_fails(&reload("models/save-the-village"), 66, &["save-the-village"]);
+    let one = ["control", "reload", BUNDLE, "--domain", &domain.id, "--process", "1"];
+    assert_fails(&output(&one), 2, &["as a whole"]);
     await_info(&domain.id, |processes| {
         processes.iter().all(|process| process["role"] == "world" || process["model"] == large)
     });

@@ -55,6 +55,7 @@ impl Swap {
         if !is_done(&told) {
             return Ok(Err(told));
         }
+        // It is told once more with all others, and goes on opening what it opens.
         let (name, told) = (name.to_string(), control(domain, &order)?);
         let others: Vec<Answer> =
             told.into_iter().filter(|answer| answer.process.role != Role::World).collect();

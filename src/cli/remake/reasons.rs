@@ -295,7 +295,7 @@ mod tests {
                 Allocated::new(&allocation, &state, (agent, 2), (Some(&mut values), Some(&best)));
             let made = made.expect("nobody refuses");
             assert_eq!(made.tasks.len(), 3);
-            let is = |told: Option<f64>, expected| {
+            let is = |told: Option<f64>, expected: f64| {
                 told.is_some_and(|told| (told - expected).abs() < 2e-3)
             };
             let [of_given, of_best] = [given, best].map(|tasks| total(&tasks, 0b111));
