@@ -15,8 +15,8 @@ use crate::output::say;
 use crate::terminal::Color;
 use crate::tools::{self, prefer_tools};
 use crate::{
-    Program, compare, control, doctor, eval, export, inspect, record, remake, replay, reproduce,
-    run, serve, sign, top, train, view,
+    Program, compare, control, doctor, eval, export, inspect, join, record, remake, replay,
+    reproduce, run, serve, sign, top, train, view,
 };
 
 const EXIT_CODES: &str = "\
@@ -104,6 +104,7 @@ fn color(words: &[OsString]) -> ColorChoice {
 pub(crate) enum Verb {
     Run(run::RunArguments),
     Up(run::up::UpArguments),
+    Join(join::JoinArguments),
     Serve(serve::ServeArguments),
     Control(control::ControlArguments),
     Doctor(doctor::DoctorArguments),
@@ -138,6 +139,7 @@ pub(crate) fn dispatch(program: &Program, asked: Asked) -> Outcome {
     match verb {
         Verb::Run(arguments) => run::run(&arguments),
         Verb::Up(arguments) => run::up::run(&arguments),
+        Verb::Join(arguments) => join::run(&arguments),
         Verb::Serve(arguments) => serve::run(&arguments),
         Verb::Control(arguments) => control::run(&arguments),
         Verb::Doctor(arguments) => doctor::run(&arguments),

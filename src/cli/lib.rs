@@ -22,6 +22,7 @@ pub mod files;
 pub mod foreign;
 pub mod guards;
 mod inspect;
+mod join;
 pub mod latency;
 mod listener;
 pub mod methods;

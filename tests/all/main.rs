@@ -14,6 +14,7 @@ mod firmware;
 mod foreign;
 mod guards;
 mod hard;
+mod hosts;
 mod imports;
 mod measure;
 mod methods;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use sortie_core::link::StatRx;
+use sortie_core::link::{Clock, StatRx};
 use sortie_core::wire::{Role, StatMsg};
 
 use crate::control::{Answer, team_info};
@@ -14,7 +14,8 @@ use crate::iox::{
     IoxWatcher, LinkSetup, ServedSetup, ServedWatcher, dead_nodes, served_bytes, worst_case_bytes,
 };
 use crate::policy::{Port, ServedFacts};
-use crate::process_info::version;
+use crate::process_info::{HostProcess, version};
+use crate::stop::MonotonicClock;
 
 /// What a domain of eight agents takes at most, where none runs.
 const USUAL_BYTES: u64 = 512 << 10;
@@ -234,14 +235,26 @@ fn listen(watcher: &mut IoxWatcher) -> Result<(BTreeMap<u32, StatMsg>, Frames), 
         std::thread::sleep(LOOK_EVERY);
     }
     // The dead told of themselves as well: their last status stays.
-    statuses.retain(|pid, _| Path::new("/proc").join(pid.to_string()).exists());
+    let now_ns = MonotonicClock.now_ns();
+    statuses.retain(|_, status| lives(status, now_ns));
     Ok((statuses, frames))
+}
+
+/// Whether a process is there; of one on another host: whether it was heard a while ago.
+fn lives(status: &StatMsg, now_ns: u64) -> bool {
+    let HostProcess { host, pid } = HostProcess::of(status.pid);
+    match host {
+        0 => Path::new("/proc").join(pid.to_string()).exists(),
+        _ => now_ns.saturating_sub(status.t_ns) < FAR_SILENCE_NS,
+    }
 }
 
 fn is_told_by_world(statuses: &BTreeMap<u32, StatMsg>) -> bool {
     statuses.values().any(|status| status.role == Role::World as u8)
 }
 
+/// How long nothing may be heard of a process on another host, which tells of itself ten times a second.
+const FAR_SILENCE_NS: u64 = 500_000_000;
 /// Index of missed wake-ups in the counters of a status.
 const MISSED_WAKE_UPS: usize = 10;
 /// Index of the longest time that a frame of a world came after it was due.
@@ -289,7 +302,7 @@ fn examine_process(status: &StatMsg) -> Finding {
     let missed = status.counters.get(MISSED_WAKE_UPS).copied().unwrap_or(0);
     let found = format!(
         "{role} {}{leads}{model}{}{}, version {}",
-        status.pid,
+        HostProcess::of(status.pid),
         engine(status),
         ticks(role, status, missed),
         version(status.build)
@@ -342,7 +355,8 @@ fn examine_seats(
                 "process {holders} has the seats of agents {}, and is silent",
                 silent.join(", ")
             ),
-            "look whether it is stopped, and let it go on or end it: then another can take its place",
+            "look whether it is stopped, and let it go on or end it: then another can take its place; where it stands for another \
+             host, whether `sortie join` runs there",
         )
     } else {
         (

@@ -7,6 +7,7 @@ use std::process::ExitStatus;
 use sortie_core::link::LinkError;
 use sortie_core::roles::{AllocatorError, WorldError};
 use sortie_core::wire::{ABI, LayoutError};
+use sortie_line::LineError;
 
 /// What ended a process of a domain.
 #[derive(Debug, thiserror::Error)]
@@ -63,6 +64,9 @@ pub enum Error {
         /// The team's.
         theirs: String,
     },
+    /// A line to another host is not there.
+    #[error(transparent)]
+    Line(#[from] LineError),
     /// No world came.
     #[error("no world has started in domain `{domain}`")]
     NoWorld {
@@ -265,7 +269,10 @@ impl Error {
             Self::RealTime { .. } => 77,
             Self::Contract { .. } | Self::SchemaInUse { .. } | Self::Limits { .. } => 78,
             Self::Frames { .. } | Self::OtherPolicy { .. } | Self::OtherWorld { .. } => 78,
-            Self::Interrupted => 130,
+            Self::Line(LineError::Socket { .. }) => 74,
+            Self::Line(LineError::NoAnswer { .. }) => 69,
+            Self::Line(LineError::Refused { .. }) => 78,
+            Self::Interrupted | Self::Line(LineError::Interrupted) => 130,
         }
     }
 

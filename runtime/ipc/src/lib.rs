@@ -38,11 +38,12 @@ pub use policy::{
     Action, ClientCounters, ClientSettings, Engine, Expected, Fallback, PolicyClient, PolicySchema,
     PolicyServer, Port, ServeCounters, ServeSettings, Served,
 };
-pub use process_info::{Candidate, NotAProcess, ProcessInfo};
+pub use process_info::{Candidate, HostProcess, NotAProcess, ProcessInfo};
 pub use processes::{
-    AllocatorProcess, Children, Fill, Loaded, LoadedModel, ProcessSettings, Registry,
+    AllocatorProcess, Children, Fill, LineSettings, Loaded, LoadedModel, ProcessSettings, Registry,
     RunnerProcess, SwappedAllocator, SwappedPolicy, WorldSettings, allocator_process, group_agents,
-    runner_process, runner_process_with_heuristic, world_process, world_process_with_fill,
+    runner_process, runner_process_with_heuristic, stand_in_process, world_process,
+    world_process_with_fill,
 };
 pub use real_time::RealTime;
 pub use stop::{MonotonicClock, Stop, Wakeable, Waker, outlive_file_limits};

@@ -6,6 +6,39 @@ use std::str::FromStr;
 use sortie_core::roles::Identity;
 use sortie_core::wire::{ControlStatus, Role};
 
+/// Where the ids of processes of other hosts begin: Linux gives none so large.
+const PID_BITS: u32 = 22;
+
+/// A process of a team, on whichever host: messages know it by one number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HostProcess {
+    /// 0: the world's.
+    pub host: u16,
+    /// Its id there.
+    pub pid: u32,
+}
+
+impl HostProcess {
+    /// The process that messages know by this number.
+    pub fn of(id: u32) -> Self {
+        Self { host: (id >> PID_BITS) as u16, pid: id & ((1 << PID_BITS) - 1) }
+    }
+
+    /// What messages know it by.
+    pub fn id(self) -> u32 {
+        u32::from(self.host) << PID_BITS | self.pid
+    }
+}
+
+impl fmt::Display for HostProcess {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.host {
+            0 => write!(f, "{}", self.pid),
+            host => write!(f, "{} on host {host}", self.pid),
+        }
+    }
+}
+
 /// Who answers, as `key=value` words and flags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProcessInfo {

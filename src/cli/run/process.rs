@@ -1,12 +1,15 @@
 //! A process of a team: what `run` and `up` start.
 
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use sortie_bundle::{Bundle, FallbackAllocation};
 use sortie_core::Allocator;
-use sortie_core::roles::Counters;
-use sortie_ipc::{AllocatorProcess, Domain, DomainContract, ProcessSettings, RunnerProcess, Stop};
+use sortie_ipc::{
+    AllocatorProcess, Domain, DomainContract, ProcessSettings, RunnerProcess, Stop,
+    stand_in_process,
+};
 
 use super::registry::{allocators, policies};
 use super::team::Scheduling;
@@ -16,6 +19,7 @@ use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::{beside, bundle_name, domain_contract, is_bundle_name, model_id};
 use crate::environment::entry_of;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::join::{LOOPBACK, LineArguments};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::stop_on_signals;
 use crate::trust::TrustArguments;
@@ -29,9 +33,14 @@ pub(crate) struct ProcessArguments {
     bundle: PathBuf,
     #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
     domain: String,
-    /// Agents that a runner acts for
+    /// Agents that a runner acts for, or that a stand-in stands for
     #[arg(long, value_delimiter = ',')]
     agents: Vec<u16>,
+    /// Where a stand-in listens for the runner on another host
+    #[arg(long, value_name = "IP:PORT", default_value_t = LOOPBACK)]
+    listen: SocketAddr,
+    #[command(flatten)]
+    line: LineArguments,
     #[arg(long, value_enum)]
     allocation: Option<AllocatorChoice>,
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
@@ -73,6 +82,7 @@ enum Role {
     World,
     Runner,
     Allocator,
+    StandIn,
 }
 
 pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
@@ -82,7 +92,7 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
     let bundle = arguments.trust.open_bundle(&folder)?;
     // A runner acts on whatever allocation comes.
     let allocation = match arguments.role {
-        Role::Runner => None,
+        Role::Runner | Role::StandIn => None,
         _ => AllocatorChoice::of_bundle(&bundle, arguments.allocation)?,
     };
     let mixes_teams = arguments.mix_teams;
@@ -122,6 +132,11 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
                 real_time,
             };
             play(&world, &arguments.playing, &domain, &stop)
+        }
+        Role::StandIn => {
+            let line = arguments.line.settings(arguments.listen)?;
+            let agents = &arguments.agents;
+            outcome(stand_in_process(&domain, &contract, agents, line, &settings, &stop))
         }
         Role::Runner => act(arguments, (&bundle, &contract), &domain, &settings, &stop),
         Role::Allocator => {
@@ -186,7 +201,7 @@ fn allocate(
     outcome(ended.and(left))
 }
 
-fn outcome(ended: Result<Counters, sortie_ipc::Error>) -> Outcome {
+fn outcome<T>(ended: Result<T, sortie_ipc::Error>) -> Outcome {
     match ended {
         Ok(_) => Ok(()),
         // The world tells the person; one line is enough.

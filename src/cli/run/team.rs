@@ -55,6 +55,14 @@ impl Team<'_> {
         }
     }
 
+    /// Who stands for the runner of these agents, which is on another host.
+    pub(super) fn stand_in(&self, agents: &[u16]) -> Charge {
+        let mut command = self.command("stand-in");
+        command.arg("--agents").arg(listed(agents, ","));
+        let name = format!("the stand-in of {}", named_agents(agents));
+        Charge { name, command, ..self.runner(agents) }
+    }
+
     /// An allocator, one of several that differ by name only; none for a team that knows of no subtasks.
     pub(super) fn allocator(&self, name: String) -> Option<Charge> {
         self.allocation?;

@@ -1,5 +1,6 @@
 //! `sortie up`: a team as supervised processes that go on whatever dies.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
@@ -17,6 +18,7 @@ use crate::allocation::AllocatorChoice;
 use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::domain_contract;
 use crate::failure::{Exit, Failure, Outcome};
+use crate::join::{LOOPBACK, LineArguments};
 use crate::output::{Common, tell, wrapped};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::{line_width, stop_on_signals};
@@ -33,6 +35,7 @@ use crate::trust::TrustArguments;
   sortie up models/save-the-city --isolate --episodes 100 --rate 200
   sortie up models/save-the-city --private
   sortie up models/better --trust keys/
+  sortie up models/save-the-city --rate 100 --away 3,4 --listen 192.168.1.5:7447 --key line.key
   sortie up models/save-the-city --domain north --standbys 2 --restart never")]
 pub(crate) struct UpArguments {
     /// Folder of the bundle
@@ -53,6 +56,14 @@ pub(crate) struct UpArguments {
     /// One process per agent, each of which gets only what its agent sees
     #[arg(long)]
     private: bool,
+    /// Agents for which `sortie join` acts on another host, in one process
+    #[arg(long, value_delimiter = ',', value_name = "AGENTS", conflicts_with = "private")]
+    away: Vec<u16>,
+    /// Where that host finds this one
+    #[arg(long, value_name = "IP:PORT", default_value_t = LOOPBACK)]
+    listen: SocketAddr,
+    #[command(flatten)]
+    line: LineArguments,
     /// The world acts, by the bundle's policy, for agents whose process is missing
     #[arg(long, conflicts_with = "absent")]
     fill: bool,
@@ -95,6 +106,7 @@ pub(crate) fn run(arguments: &UpArguments) -> Outcome {
     // Opened here although others will: errors show once, and plans are compiled.
     let world = open_world(&bundle, arguments.playing.env.as_deref(), seed)?;
     arguments.playing.absentees.check(world.shape().agents)?;
+    check_away(arguments, world.shape().agents)?;
     let allocation = AllocatorChoice::of_bundle(&bundle, arguments.allocation)?;
     DeployedPolicy::open(&bundle, arguments.backend)?;
     let draws = (seed, arguments.proposals);
@@ -153,7 +165,9 @@ fn charges(
 ) -> Result<Vec<Charge>, Failure> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let groups = group_agents(agents, cores, arguments.isolate || arguments.private);
-    let groups = arguments.playing.absentees.leave_out(groups);
+    let mut groups = arguments.playing.absentees.leave_out(groups);
+    groups.iter_mut().for_each(|group| group.retain(|agent| !arguments.away.contains(agent)));
+    groups.retain(|group| !group.is_empty());
     if arguments.pin {
         check_cores(1 + groups.len(), cores)?;
     }
@@ -170,7 +184,34 @@ fn charges(
     let runners =
         (1..).zip(&groups).map(|(index, group)| with_flags(team.runner(group), own_core(index)));
     let world = with_flags(world(arguments, team), own_core(0));
-    Ok([world].into_iter().chain(allocators).chain(runners).collect())
+    let stand_in = (!arguments.away.is_empty()).then(|| stand_in(arguments, team));
+    Ok([world].into_iter().chain(allocators).chain(runners).chain(stand_in).collect())
+}
+
+/// Refuses agents that are nobody's to leave to another host, and makes the secret of the line to it.
+fn check_away(arguments: &UpArguments, agents: usize) -> Outcome {
+    let UpArguments { away, playing, line, .. } = arguments;
+    if away.is_empty() {
+        return Ok(());
+    }
+    let is_absent = |agent: u16| playing.absentees.seats() >> agent & 1 == 1;
+    if let Some(agent) =
+        away.iter().find(|agent| usize::from(**agent) >= agents || is_absent(**agent))
+    {
+        let message = format!("there is no agent {agent} to be away, or it is absent");
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    line.key_or_new().map(drop)
+}
+
+/// Who stands for the runner on another host.
+fn stand_in(arguments: &UpArguments, team: &Team<'_>) -> Charge {
+    let UpArguments { away, listen, line, scheduling, .. } = arguments;
+    let mut charge = team.stand_in(away);
+    charge.command.arg("--listen").arg(listen.to_string());
+    line.put(&mut charge.command);
+    charge.command.args(scheduling.flags(None));
+    charge
 }
 
 /// The world, which prints the report.

@@ -294,7 +294,7 @@ pub(super) fn follow<M, L>(
 }
 
 /// The agents as a set.
-fn seats(agents: &[u16], count: usize) -> Result<u64, Error> {
+pub(super) fn seats(agents: &[u16], count: usize) -> Result<u64, Error> {
     let exists = |agent: &u16| usize::from(*agent) < count;
     if agents.is_empty() || !agents.iter().all(exists) {
         return Err(Error::NoSuchAgent { agents: agents.to_vec(), count });
@@ -311,7 +311,7 @@ fn owner(agents: &[u16], private: bool) -> Result<Option<usize>, Error> {
     }
 }
 
-fn port_name(agents: &[u16]) -> String {
+pub(super) fn port_name(agents: &[u16]) -> String {
     match agents {
         [agent] => format!("agent/{agent}"),
         [first, ..] => format!("runner/{first}"),

@@ -1,0 +1,252 @@
+//! The team's end of a line.
+
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::convert::Infallible;
+use std::net::{SocketAddr, UdpSocket};
+use std::rc::Rc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use embedded_io::{ErrorType, Read, ReadReady, Write};
+
+use crate::LineError;
+use crate::datagram::{Head, Kind, LONGEST, LONGEST_SAID, Offer, Team, Welcome, open, seal};
+use crate::key::Key;
+use crate::session::{Session, nonce};
+
+/// A runner that has not been heard for so long gives way to another one.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// Longest wait in the socket, so that the end is noticed.
+const HEARTBEAT: Duration = Duration::from_millis(100);
+/// Most bytes that wait to be read; what is older was of ticks that are over.
+const WAITING: usize = 1 << 20;
+
+/// Who may be taken: what a runner has to know, or why it is not.
+type Judge = Box<dyn Fn(&Offer) -> Result<Team, String> + Send>;
+
+/// The team's end: a thread hears, whoever has it says.
+pub struct Home {
+    shared: Arc<Shared>,
+    outgoing: Rc<RefCell<Vec<u8>>>,
+    hearing: Option<JoinHandle<()>>,
+}
+
+struct Shared {
+    socket: UdpSocket,
+    key: Key,
+    /// How often everything is said.
+    copies: usize,
+    state: Mutex<State>,
+    is_over: AtomicBool,
+}
+
+#[derive(Default)]
+struct State {
+    /// Who acts, as far as the team knows.
+    runner: Option<Runner>,
+    /// Who was welcomed last, and has not said anything yet: whoever repeats what another one said before it never does.
+    welcomed: Option<Runner>,
+    incoming: VecDeque<u8>,
+    heard: Option<Instant>,
+}
+
+struct Runner {
+    /// Both parts of its session.
+    own: u64,
+    team: u64,
+    session: Session,
+    address: SocketAddr,
+}
+
+impl Home {
+    /// Listens at `address` for a runner that `judge` takes; `wake` is called whenever there is something to read. Everything is
+    /// said `copies` times, for lines that lose much.
+    ///
+    /// # Errors
+    /// The address cannot be listened at.
+    pub fn open(
+        address: SocketAddr,
+        key: Key,
+        copies: usize,
+        judge: impl Fn(&Offer) -> Result<Team, String> + Send + 'static,
+        wake: impl Fn() + Send + 'static,
+    ) -> Result<Self, LineError> {
+        let failed = |source| LineError::Socket { address: address.to_string(), source };
+        let socket = UdpSocket::bind(address).map_err(failed)?;
+        socket.set_read_timeout(Some(HEARTBEAT)).map_err(failed)?;
+        let (state, is_over) = (Mutex::default(), AtomicBool::new(false));
+        let shared = Arc::new(Shared { socket, key, copies, state, is_over });
+        let hearing = Arc::clone(&shared);
+        let judge: Judge = Box::new(judge);
+        let hearing = std::thread::Builder::new()
+            .name("line".to_owned())
+            .spawn(move || hearing.hear(&judge, &wake))
+            .map_err(failed)?;
+        Ok(Self { shared, outgoing: Rc::default(), hearing: Some(hearing) })
+    }
+
+    /// Where it listens.
+    ///
+    /// # Errors
+    /// The system does not tell.
+    pub fn address(&self) -> std::io::Result<SocketAddr> {
+        self.shared.socket.local_addr()
+    }
+
+    /// What a relay reads and writes.
+    pub fn port(&self) -> HomePort {
+        HomePort { shared: Arc::clone(&self.shared), outgoing: Rc::clone(&self.outgoing) }
+    }
+
+    /// Says what was written since, in one datagram. To nobody, where nobody is there.
+    pub fn send(&self) {
+        let said = self.outgoing.take();
+        if said.is_empty() || said.len() > LONGEST_SAID {
+            return;
+        }
+        let mut state = self.shared.state();
+        let Some(Runner { session, address, .. }) = &mut state.runner else { return };
+        let (head, address) = (session.next(Kind::Shown), *address);
+        drop(state);
+        self.shared.say(head, &said, address);
+    }
+
+    /// How long ago the runner was heard last; none: never.
+    pub fn silence(&self) -> Option<Duration> {
+        self.shared.state().heard.map(|heard| heard.elapsed())
+    }
+}
+
+impl Drop for Home {
+    fn drop(&mut self) {
+        self.shared.is_over.store(true, Ordering::Relaxed);
+        // It has nothing to tell.
+        let _ = self.hearing.take().map(JoinHandle::join);
+    }
+}
+
+impl Shared {
+    /// What is behind the lock is whole at any time.
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What cannot be sent is lost, as on the way.
+    fn say(&self, head: Head, said: &[u8], address: SocketAddr) {
+        let datagram = seal(&self.key, head, said);
+        for _ in 0..self.copies {
+            let _ = self.socket.send_to(&datagram, address);
+        }
+    }
+
+    fn hear(&self, judge: &Judge, wake: &dyn Fn()) {
+        let mut buffer = vec![0; LONGEST];
+        while !self.is_over.load(Ordering::Relaxed) {
+            // Nothing came; or an earlier datagram was not taken where it went.
+            let Ok((len, from)) = self.socket.recv_from(&mut buffer) else { continue };
+            let datagram = buffer.get(..len).unwrap_or_default();
+            let Some((head, said)) = open(&self.key, datagram) else { continue };
+            match head.kind {
+                Kind::Offer => self.answer(head, said, from, judge),
+                Kind::Answered if self.state().takes(head, said, from) => wake(),
+                Kind::Answered | Kind::Welcome | Kind::Refusal | Kind::Shown => {}
+            }
+        }
+    }
+
+    fn answer(&self, head: Head, said: &[u8], from: SocketAddr, judge: &Judge) {
+        let judged = match postcard::from_bytes(said) {
+            Ok(offer) => judge(&offer),
+            Err(_) => Err("its version of the line is another one".to_owned()),
+        };
+        let welcomed = judged.map(|team| {
+            let part = self.state().welcome(head.session, from, &self.key);
+            part.map(|nonce| Welcome { nonce, team })
+        });
+        let (kind, words) = match welcomed {
+            Ok(Some(welcome)) => (Kind::Welcome, postcard::to_stdvec(&welcome)),
+            // Somebody else is there: no words, it may ask again.
+            Ok(None) => (Kind::Refusal, Ok(Vec::new())),
+            Err(reason) => (Kind::Refusal, Ok(reason.into_bytes())),
+        };
+        if let Ok(words) = words {
+            self.say(Head { kind, ..head }, &words, from);
+        }
+    }
+}
+
+impl State {
+    /// The team's part of a session with this runner; none while another one acts.
+    fn welcome(&mut self, own: u64, address: SocketAddr, key: &Key) -> Option<u64> {
+        let known = [&self.runner, &self.welcomed].into_iter().flatten();
+        if let Some(known) = known.into_iter().find(|known| known.own == own) {
+            return Some(known.team);
+        }
+        if self.heard.is_some_and(|heard| heard.elapsed() < PATIENCE) {
+            return None;
+        }
+        let team = nonce().ok()?;
+        let session = Session::new(key, own, team);
+        self.welcomed = Some(Runner { own, team, session, address });
+        Some(team)
+    }
+
+    /// Whether it is news of the runner, which then waits to be read.
+    fn takes(&mut self, head: Head, said: &[u8], from: SocketAddr) -> bool {
+        // With the first words of a session it begins, and an earlier one is over.
+        if let Some(next) = self.welcomed.take_if(|next| next.session.is_of(&head)) {
+            self.runner = Some(next);
+        }
+        let Some(runner) = &mut self.runner else { return false };
+        if !runner.session.takes(&head) {
+            return false;
+        }
+        runner.address = from;
+        self.heard = Some(Instant::now());
+        if self.incoming.len() + said.len() > WAITING {
+            self.incoming.clear();
+        }
+        self.incoming.extend(said);
+        true
+    }
+}
+
+/// What a relay reads and writes: bytes in their order, as far as they came.
+pub struct HomePort {
+    shared: Arc<Shared>,
+    outgoing: Rc<RefCell<Vec<u8>>>,
+}
+
+impl ErrorType for HomePort {
+    type Error = Infallible;
+}
+
+impl Read for HomePort {
+    fn read(&mut self, bytes: &mut [u8]) -> Result<usize, Infallible> {
+        let mut state = self.shared.state();
+        let len = state.incoming.len().min(bytes.len());
+        bytes.iter_mut().zip(state.incoming.drain(..len)).for_each(|(to, from)| *to = from);
+        Ok(len)
+    }
+}
+
+impl ReadReady for HomePort {
+    fn read_ready(&mut self) -> Result<bool, Infallible> {
+        Ok(!self.shared.state().incoming.is_empty())
+    }
+}
+
+impl Write for HomePort {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        self.outgoing.borrow_mut().extend(bytes);
+        Ok(bytes.len())
+    }
+
+    /// Nothing is said before [`Home::send`], then all of it at once.
+    fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}

@@ -1,0 +1,288 @@
+//! `sortie join`: acts for agents of a team that is up on another host; and what both hosts say about the line between them.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs};
+use std::path::PathBuf;
+use std::process::Command;
+use std::time::Duration;
+
+use clap::Args;
+use sortie_bundle::{Bundle, SubtaskConditioning};
+use sortie_core::Policy;
+use sortie_core::link::{Bell, Clock, FrameBlock, LinkError, Serial, packet_bytes};
+use sortie_core::roles::{Identity, Poll, RunnerOptions, RunnerRole};
+use sortie_core::wire::{ABI, FrameFormat};
+use sortie_ipc::{DomainFacts, Error, HostProcess, LineSettings, Stop};
+use sortie_line::{Away, Key, KeyError, Offer, Rest, Taken};
+
+use crate::deployment::{domain_contract, model_id};
+use crate::failure::{Exit, Failure, Outcome};
+use crate::output::tell;
+use crate::policy::{Backend, DeployedPolicy};
+use crate::terminal::stop_on_signals;
+use crate::trust::TrustArguments;
+
+/// How long a team is looked for at first.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// After so long without a frame the line is taken for cut: three ticks, and at least this.
+const LEAST_SILENCE: Duration = Duration::from_millis(300);
+/// Longest wait for a packet, so that signals are noticed and the team hears of the runner.
+const HEARTBEAT_NS: u64 = 100_000_000;
+/// The share of a period that a round trip may take: the rest is for deciding.
+const SHARE_OF_PERIOD: f64 = 0.8;
+/// Where a team listens if nobody says: nobody else than this host reaches it.
+pub(crate) const LOOPBACK: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 7447);
+
+/// Act for agents of a team that is up on another host
+///
+/// The team's host holds their seats and sends what they see, this one decides, by the same bundle and with the same bits as a
+/// process there would. A datagram a tick each way, with a session, a number and a checksum made with the key of both: nothing old
+/// or of anybody else is acted upon. Where the line is cut the team plays its fallback, this end stops acting and says so, and goes on
+/// with the first frame that comes.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  sortie up models/save-the-city --rate 100 --away 3,4 --listen 192.168.1.5:7447 --key line.key    # on the first host
+  sortie join 192.168.1.5:7447 models/save-the-city --agents 3,4 --key line.key                    # on the second one")]
+pub(crate) struct JoinArguments {
+    /// Where the team listens, HOST:PORT
+    #[arg(value_name = "HOST:PORT")]
+    address: String,
+    /// Folder of the bundle, the same as the team's
+    bundle: PathBuf,
+    /// Agents to act for: all that the team left to this line
+    #[arg(long, value_delimiter = ',', required = true)]
+    agents: Vec<u16>,
+    #[command(flatten)]
+    line: LineArguments,
+    /// What executes the networks
+    #[arg(long, value_enum, default_value_t = Backend::Plan)]
+    backend: Backend,
+    #[command(flatten)]
+    trust: TrustArguments,
+}
+
+/// What both ends of a line have to be told.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct LineArguments {
+    /// File with the secret of both hosts; `sortie up` makes it where it is missing
+    #[arg(long, value_name = "FILE", conflicts_with = "plain")]
+    key: Option<PathBuf>,
+    /// Without a secret: whoever reaches the address may act for the agents
+    #[arg(long)]
+    plain: bool,
+    /// Say everything twice, for a line that loses datagrams
+    #[arg(long)]
+    twice: bool,
+}
+
+impl LineArguments {
+    /// The secret that was named, or none where none is wanted.
+    fn key(&self) -> Result<Key, Failure> {
+        match &self.key {
+            Some(file) => Key::read(file).map_err(unusable),
+            None if self.plain => Ok(Key::plain()),
+            None => Err(Failure::new(
+                Exit::Usage,
+                "a line has a secret: name its file by --key, or do without by --plain",
+            )),
+        }
+    }
+
+    /// The same; a secret that is missing is made.
+    pub(crate) fn key_or_new(&self) -> Result<Key, Failure> {
+        if let Some(file) = self.key.as_deref().filter(|file| !file.exists()) {
+            Key::create(file).map_err(unusable)?;
+            tell!("{} is a new secret: the other host needs a copy of it", file.display());
+        }
+        self.key()
+    }
+
+    fn copies(&self) -> usize {
+        if self.twice { 2 } else { 1 }
+    }
+
+    /// The team's end, at this address.
+    pub(crate) fn settings(&self, address: SocketAddr) -> Result<LineSettings, Failure> {
+        Ok(LineSettings { address, key: self.key()?, copies: self.copies() })
+    }
+
+    /// As flags for another process.
+    pub(crate) fn put(&self, command: &mut Command) {
+        if let Some(file) = &self.key {
+            command.arg("--key").arg(file);
+        }
+        for (flag, is_set) in [("--plain", self.plain), ("--twice", self.twice)] {
+            if is_set {
+                command.arg(flag);
+            }
+        }
+    }
+}
+
+fn unusable(error: KeyError) -> Failure {
+    let exit = match error {
+        KeyError::File { .. } => Exit::Missing,
+        KeyError::Readable { .. } => Exit::NotPermitted,
+        KeyError::Short { .. } => Exit::BadData,
+    };
+    Failure::new(exit, error.to_string())
+}
+
+/// Why a runner acts no more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    /// The world has ended.
+    Over,
+    /// Another end of the team is there, which has to be asked anew.
+    Replaced,
+    Interrupted,
+}
+
+pub(crate) fn run(arguments: &JoinArguments) -> Outcome {
+    let stop = stop_on_signals()?;
+    let bundle = arguments.trust.open_bundle(&arguments.bundle)?;
+    let mut policy = DeployedPolicy::open(&bundle, arguments.backend)?;
+    let address = resolve(&arguments.address)?;
+    let offer = Offer {
+        abi: ABI,
+        contract: bundle.contract().hash(),
+        model: model_id(&bundle),
+        agents: seats(&arguments.agents)?,
+    };
+    let mut patience = PATIENCE;
+    loop {
+        let taken = connect(arguments, address, offer, patience, &stop)?;
+        // Who was there once may come again.
+        patience = Duration::MAX;
+        match act(&bundle, policy.team()?.as_mut(), &taken, offer, &stop)? {
+            End::Over => return Ok(()),
+            End::Replaced => tell!("the team's end of the line is another one: joining anew"),
+            End::Interrupted => return Err(Failure::new(Exit::Interrupted, "interrupted")),
+        }
+    }
+}
+
+fn connect(
+    arguments: &JoinArguments,
+    address: SocketAddr,
+    offer: Offer,
+    patience: Duration,
+    stop: &Stop,
+) -> Result<Taken, Failure> {
+    let JoinArguments { agents, line, .. } = arguments;
+    let (key, copies) = (line.key()?, line.copies());
+    let taken = Away::connect(address, key, copies, offer, patience, &|| stop.is_set());
+    let taken = taken.map_err(|error| Failure::from(Error::from(error)))?;
+    let period = Duration::from_nanos(taken.team.period_ns);
+    if !period.is_zero() && taken.round_trip > period.mul_f64(SHARE_OF_PERIOD) {
+        let message = format!(
+            "a round trip to {address} takes {}, of a period of {}: the team would have to be slower (--rate)",
+            milliseconds(taken.round_trip),
+            milliseconds(period)
+        );
+        return Err(Failure::new(Exit::Mismatch, message));
+    }
+    let agents = agents.iter().map(u16::to_string).collect::<Vec<_>>().join(", ");
+    tell!("acting for agents {agents}; a round trip takes {}", milliseconds(taken.round_trip));
+    Ok(taken)
+}
+
+/// Acts until the team ends, another one is there, or the user is.
+fn act(
+    bundle: &Bundle,
+    policy: &mut dyn Policy,
+    Taken { line, team, .. }: &Taken,
+    offer: Offer,
+    stop: &Stop,
+) -> Result<End, Failure> {
+    let facts = DomainFacts::new(&domain_contract(bundle, None), team.shape());
+    let format = facts.format()?;
+    let rest = line.rest();
+    let mut memory = vec![FrameBlock::zeroed(); FrameBlock::for_serial(team.shape())];
+    let mut packet = vec![0; packet_bytes(team.shape())];
+    let mut link = Serial::new(line.clone(), &rest, format, &mut memory, &mut packet)
+        .map_err(|error| Failure::from(Error::from(error)))?;
+    let pid = HostProcess { host: team.host, pid: std::process::id() }.id();
+    let mut role = RunnerRole::new(options(bundle, format, team.period_ns, (pid, offer)));
+    let ended = play(&mut role, &mut link, policy, (line, &rest, team.period_ns), stop);
+    ended.map_err(|error| Failure::from(Error::from(error)))
+}
+
+fn options(
+    bundle: &Bundle,
+    format: FrameFormat,
+    period_ns: u64,
+    (pid, offer): (u32, Offer),
+) -> RunnerOptions {
+    let contract = bundle.contract();
+    RunnerOptions {
+        format,
+        identity: Identity { model: offer.model, ..Identity::new(pid, "away") },
+        agents: offer.agents,
+        subtasks: contract.subtask_conditioning == SubtaskConditioning::Mask,
+        decision_interval: contract.decision_interval,
+        period_ns,
+        safe_action: contract.safe_action,
+    }
+}
+
+fn play(
+    role: &mut RunnerRole,
+    link: &mut Serial<'_, Away>,
+    policy: &mut dyn Policy,
+    (line, rest, period_ns): (&Away, &Rest, u64),
+    stop: &Stop,
+) -> Result<End, LinkError> {
+    let silence = Duration::from_nanos(period_ns.saturating_mul(3)).max(LEAST_SILENCE);
+    let mut is_cut = false;
+    role.join(link)?;
+    loop {
+        line.send();
+        if stop.is_set() {
+            role.leave(link)?;
+            line.send();
+            return Ok(End::Interrupted);
+        }
+        if line.is_replaced() {
+            return Ok(End::Replaced);
+        }
+        // Who is cut off acts no more: there is nothing to answer.
+        let is_silent = line.silence() > silence;
+        if is_silent != std::mem::replace(&mut is_cut, is_silent) {
+            match is_silent {
+                true => {
+                    tell!("warning: cut off: nothing is heard of the team, and nothing is done")
+                }
+                false => tell!("the team is heard again"),
+            }
+        }
+        let token = link.token();
+        match role.poll(link, policy)? {
+            Poll::Ended => return Ok(End::Over),
+            Poll::Again | Poll::Answered => {}
+            Poll::Wait { until_ns } => {
+                line.send();
+                let heartbeat_ns = rest.now_ns().saturating_add(HEARTBEAT_NS);
+                link.wait_until(token, until_ns.min(heartbeat_ns));
+            }
+        }
+    }
+}
+
+fn resolve(address: &str) -> Result<SocketAddr, Failure> {
+    let unknown = |why: String| {
+        let message = format!("`{address}` is no address of a host and its port: {why}");
+        Failure::new(Exit::Usage, message)
+    };
+    let mut found = address.to_socket_addrs().map_err(|error| unknown(error.to_string()))?;
+    found.next().ok_or_else(|| unknown("nobody has it".to_owned()))
+}
+
+fn seats(agents: &[u16]) -> Result<u64, Failure> {
+    let seat = |agent: &u16| 1_u64.checked_shl((*agent).into());
+    let seats = agents.iter().map(seat).try_fold(0, |seats, seat| Some(seats | seat?));
+    seats.ok_or_else(|| Failure::new(Exit::Usage, "a team has agents 0 to 63 at most"))
+}
+
+fn milliseconds(time: Duration) -> String {
+    format!("{:.2} ms", time.as_secs_f64() * 1e3)
+}
