@@ -148,6 +148,11 @@ mod tests {
         let key = Key::read(&path).unwrap();
         assert!(!key.fits(b"hello", &Key::plain().tag(b"hello")));
         assert!(key.fits(b"hello", &key.tag(b"hello")) && !key.fits(b"hallo", &key.tag(b"hello")));
+        for bit in 0..8 * TAG {
+            let mut tag = key.tag(b"hello");
+            tag[bit / 8] ^= 1 << (bit % 8);
+            assert!(!key.fits(b"hello", &tag), "bit {bit}");
+        }
         // A secret that is there is not replaced.
         assert!(matches!(Key::create(&path), Err(KeyError::File { .. })));
         fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
