@@ -261,8 +261,9 @@ fn play(
             Poll::Again | Poll::Answered => {}
             Poll::Wait { until_ns } => {
                 line.send();
-                let heartbeat_ns = rest.now_ns().saturating_add(HEARTBEAT_NS);
-                link.wait_until(token, until_ns.min(heartbeat_ns));
+                let until_ns = until_ns.min(rest.now_ns().saturating_add(HEARTBEAT_NS));
+                rest.until(until_ns);
+                link.wait_until(token, until_ns);
             }
         }
     }

@@ -176,6 +176,9 @@ fn who_does_not_fit_is_refused_by_what_differs() {
         2,
         &["no address"],
     );
+    // A team with agents away keeps its bundle: nobody here can open theirs.
+    let reload = output(&["control", "reload", &large, "--domain", &domain.id]);
+    assert_fails(&reload, 69, &["the team keeps what it has", "can change to no other bundle"]);
     json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
     assert_eq!(team.wait().expect("its status").code(), Some(0));
 }

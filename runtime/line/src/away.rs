@@ -7,6 +7,7 @@ use std::io::ErrorKind;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::rc::Rc;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
@@ -24,8 +25,6 @@ const OFFER_EVERY: Duration = Duration::from_millis(100);
 const SILENCE: Duration = Duration::from_secs(1);
 /// Round trips whose shortest is the line's.
 const ROUND_TRIPS: u64 = 8;
-/// Longest sleep of a runner that waits for a packet.
-const REST: Duration = Duration::from_millis(1);
 
 /// The runner's end. Clones are the same end.
 #[derive(Clone)]
@@ -105,7 +104,8 @@ impl Away {
 
     /// What waits for a packet and knows the time.
     pub fn rest(&self) -> Rest {
-        Rest { socket: Arc::clone(&self.0.borrow().socket), began: Instant::now() }
+        let socket = Arc::clone(&self.0.borrow().socket);
+        Rest { socket, began: Instant::now(), until_ns: AtomicU64::new(0) }
     }
 
     /// Says what was written since, in one datagram, and offers the runner anew where the team has been silent for long.
@@ -179,7 +179,7 @@ impl End {
     fn await_answer(&mut self, number: u64, since: Instant) -> Option<(Head, Vec<u8>)> {
         while since.elapsed() < OFFER_EVERY {
             let Some((head, words)) = self.receive() else {
-                await_packet(&self.socket, REST);
+                await_packet(&self.socket, OFFER_EVERY.saturating_sub(since.elapsed()));
                 continue;
             };
             let is_answer = matches!(head.kind, Kind::Welcome | Kind::Refusal);
@@ -275,10 +275,18 @@ impl Write for Away {
     }
 }
 
-/// Sleeps until a packet comes.
+/// Sleeps until a packet comes, or a time that was stated.
 pub struct Rest {
     socket: Arc<UdpSocket>,
     began: Instant,
+    until_ns: AtomicU64,
+}
+
+impl Rest {
+    /// No sleep from now on lasts longer than until this time of its clock.
+    pub fn until(&self, until_ns: u64) {
+        self.until_ns.store(until_ns, Ordering::Relaxed);
+    }
 }
 
 impl Clock for Rest {
@@ -290,13 +298,14 @@ impl Clock for Rest {
 
 impl Processor for Rest {
     fn rest(&self) {
-        await_packet(&self.socket, REST);
+        let left_ns = self.until_ns.load(Ordering::Relaxed).saturating_sub(self.now_ns());
+        await_packet(&self.socket, Duration::from_nanos(left_ns));
     }
 }
 
 /// Waits in nanoseconds: timeouts of sockets count ticks of the kernel.
 fn await_packet(socket: &UdpSocket, most: Duration) {
-    let most = Timespec { tv_sec: 0, tv_nsec: most.subsec_nanos().into() };
+    let most = Timespec { tv_sec: most.as_secs() as i64, tv_nsec: most.subsec_nanos().into() };
     // Woken or not, the socket is looked at.
     let _ = poll(&mut [PollFd::new(socket, PollFlags::IN)], Some(&most));
 }
