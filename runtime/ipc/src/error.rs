@@ -271,6 +271,7 @@ impl Error {
             Self::Frames { .. } | Self::OtherPolicy { .. } | Self::OtherWorld { .. } => 78,
             Self::Line(LineError::Socket { .. }) => 74,
             Self::Line(LineError::NoAnswer { .. }) => 69,
+            Self::Line(LineError::Busy { .. }) => 75,
             Self::Line(LineError::Refused { .. }) => 78,
             Self::Interrupted | Self::Line(LineError::Interrupted) => 130,
         }

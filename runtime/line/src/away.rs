@@ -141,12 +141,16 @@ impl End {
     ) -> Result<(Team, Duration), LineError> {
         let address = address.to_string();
         let (began, mut shortest, mut number) = (Instant::now(), None::<Duration>, 0);
+        let mut is_taken = false;
         loop {
             if is_stopped() {
                 return Err(LineError::Interrupted);
             }
             if began.elapsed() > patience {
-                return Err(LineError::NoAnswer { address });
+                return Err(match is_taken {
+                    true => LineError::Busy { address },
+                    false => LineError::NoAnswer { address },
+                });
             }
             let said = Instant::now();
             self.offer(number);
@@ -166,7 +170,10 @@ impl End {
                     }
                 }
                 // Another runner is there: it may leave.
-                _ if words.is_empty() => std::thread::sleep(OFFER_EVERY),
+                _ if words.is_empty() => {
+                    is_taken = true;
+                    std::thread::sleep(OFFER_EVERY);
+                }
                 _ => {
                     let reason = String::from_utf8_lossy(&words).into_owned();
                     return Err(LineError::Refused { address, reason });

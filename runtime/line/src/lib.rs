@@ -45,6 +45,12 @@ pub enum LineError {
         /// Where it goes.
         address: String,
     },
+    /// Another runner acts for these agents, and goes on.
+    #[error("another runner acts for these agents of the team at {address}")]
+    Busy {
+        /// Where it goes.
+        address: String,
+    },
     /// The team does not take this runner.
     #[error("the team at {address} refuses: {reason}")]
     Refused {

@@ -87,7 +87,7 @@ fn strangers_and_others_are_not_taken() {
     assert_eq!(read(&mut home.port()), b"here");
     // While it is heard nobody else acts for its agents, and then somebody may.
     let second = connect(address, key.clone(), OFFER).err();
-    assert!(matches!(second, Some(LineError::NoAnswer { .. })), "{second:?}");
+    assert!(matches!(second, Some(LineError::Busy { .. })), "{second:?}");
     let later = Away::connect(address, key, 1, OFFER, Duration::from_secs(3), &|| false);
     let mut later = later.unwrap().line;
     later.write_all(b"next").unwrap();
