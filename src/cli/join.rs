@@ -11,7 +11,7 @@ use sortie_core::Policy;
 use sortie_core::link::{Bell, Clock, FrameBlock, LinkError, Serial, packet_bytes};
 use sortie_core::roles::{Identity, Poll, RunnerOptions, RunnerRole};
 use sortie_core::wire::{ABI, FrameFormat};
-use sortie_ipc::{DomainFacts, Error, HostProcess, LineSettings, Stop};
+use sortie_ipc::{BUILD, DomainFacts, Error, HostProcess, LineSettings, Stop};
 use sortie_line::{Away, Key, KeyError, Offer, Rest, Taken};
 
 use crate::deployment::{domain_contract, model_id};
@@ -216,7 +216,7 @@ fn options(
     let contract = bundle.contract();
     RunnerOptions {
         format,
-        identity: Identity { model: offer.model, ..Identity::new(pid, "away") },
+        identity: Identity { model: offer.model, build: BUILD, ..Identity::new(pid, "away") },
         agents: offer.agents,
         subtasks: contract.subtask_conditioning == SubtaskConditioning::Mask,
         decision_interval: contract.decision_interval,

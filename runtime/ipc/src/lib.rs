@@ -38,7 +38,7 @@ pub use policy::{
     Action, ClientCounters, ClientSettings, Engine, Expected, Fallback, PolicyClient, PolicySchema,
     PolicyServer, Port, ServeCounters, ServeSettings, Served,
 };
-pub use process_info::{Candidate, HostProcess, NotAProcess, ProcessInfo};
+pub use process_info::{BUILD, Candidate, HostProcess, NotAProcess, ProcessInfo};
 pub use processes::{
     AllocatorProcess, Children, Fill, LineSettings, Loaded, LoadedModel, ProcessSettings, Registry,
     RunnerProcess, SwappedAllocator, SwappedPolicy, WorldSettings, allocator_process, group_agents,

@@ -202,7 +202,7 @@ impl FromStr for ProcessInfo {
 }
 
 /// This version: major, minor and patch in the upper byte, the next, and the lower half.
-pub(crate) const BUILD: u32 = number(env!("CARGO_PKG_VERSION_MAJOR")) << 24
+pub const BUILD: u32 = number(env!("CARGO_PKG_VERSION_MAJOR")) << 24
     | number(env!("CARGO_PKG_VERSION_MINOR")) << 16
     | number(env!("CARGO_PKG_VERSION_PATCH"));
 
