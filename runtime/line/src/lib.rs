@@ -11,6 +11,41 @@
 //!
 //! Both ends know the secret, and what is said is not secret: whoever can read the line sees what agents see. Where that
 //! matters, the line belongs into a tunnel.
+//!
+//! ```
+//! use std::time::Duration;
+//!
+//! use embedded_io::{Read, ReadReady, Write};
+//! use sortie_core::Shape;
+//! use sortie_line::{Away, Home, Key, Offer, Team};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let shape = Shape { agents: 5, entities: 11, tasks: 6, actions: 13, features: 58 };
+//! let team = Team::new(shape, 10_000_000, 4);
+//! let wanted = Offer { abi: 3, contract: 1, model: [7; 16], agents: 0b11000 };
+//! let judge = move |offer: &Offer| match *offer == wanted {
+//!     true => Ok(team),
+//!     false => Err("it is another runner".to_owned()),
+//! };
+//! let home = Home::open("127.0.0.1:0".parse()?, Key::plain(), 1, judge, || ())?;
+//!
+//! // On the other host.
+//! let patience = Duration::from_secs(5);
+//! let taken = Away::connect(home.address()?, Key::plain(), 1, wanted, patience, &|| false)?;
+//! assert_eq!(taken.team.shape(), shape);
+//! let mut line = taken.line;
+//! line.write_all(b"an answer")?;
+//! line.send();
+//!
+//! // At home, once it is woken.
+//! let mut port = home.port();
+//! while !port.read_ready()? {}
+//! let mut heard = [0; 9];
+//! port.read_exact(&mut heard).map_err(|_| "it was cut short")?;
+//! assert_eq!(&heard, b"an answer");
+//! # Ok(())
+//! # }
+//! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod away;
