@@ -16,7 +16,7 @@ use sortie_line::{Away, Key, KeyError, Offer, Rest, Taken};
 
 use crate::deployment::{domain_contract, model_id};
 use crate::failure::{Exit, Failure, Outcome};
-use crate::output::tell;
+use crate::output::{plural, tell};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::stop_on_signals;
 use crate::trust::TrustArguments;
@@ -204,6 +204,7 @@ fn act(
     let pid = HostProcess { host: team.host, pid: std::process::id() }.id();
     let mut role = RunnerRole::new(options(bundle, format, team.period_ns, (pid, offer)));
     let ended = play(&mut role, &mut link, policy, (line, &rest, team.period_ns), stop);
+    tell!("{} decided", plural(role.counters().ticks as usize, "tick"));
     ended.map_err(|error| Failure::from(Error::from(error)))
 }
 
