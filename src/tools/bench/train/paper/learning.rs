@@ -58,12 +58,10 @@ impl Player {
         Ok(Self { method, play })
     }
 
-    /// One episode in every environment, which are kept; environment steps.
+    /// One episode in every environment; environment steps.
     fn round(&mut self) -> Result<u64, Failure> {
         let now = Now { env_steps: TRIED_OUT_AT, of: TRIED_OUT_AT };
-        let steps = self.play.round(&mut self.method, now, &mut EpisodeCounts::default())?;
-        self.method.keep_episodes();
-        Ok(steps)
+        Ok(self.play.round(&mut self.method, now, &mut EpisodeCounts::default())?)
     }
 }
 
@@ -161,15 +159,13 @@ fn with_allocation(config: &Config, by: &str) -> Config {
 
 /// Plays so many episodes, in turns under the heuristic and under random allocations.
 fn fill(config: &Config, seed: u64, episodes: usize) -> Result<Replay, Failure> {
-    let rules = ["heuristic", "random"].map(|by| with_allocation(config, by));
-    let [mut first, mut second] = [Player::new(&rules[0], seed)?, Player::new(&rules[1], seed)?];
-    let played = |player: &Player| player.method.replay.episodes().len();
-    while played(&first) + played(&second) < episodes {
-        first.round()?;
-        second.round()?;
+    let mut player = Player::new(config, seed)?;
+    for by in ["heuristic", "random"].into_iter().cycle() {
+        if player.method.replay.steps.episodes() >= episodes {
+            break;
+        }
+        player.method.config = with_allocation(config, by);
+        player.round()?;
     }
-    let mut replay = Replay::new(2 * episodes);
-    let all = [&first, &second].into_iter().flat_map(|player| player.method.replay.episodes());
-    all.for_each(|episode| replay.push(episode.clone()));
-    Ok(replay)
+    Ok(player.method.replay)
 }

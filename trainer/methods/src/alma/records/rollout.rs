@@ -1,31 +1,16 @@
 //! Acting while learning: episodes in many instances, explored, and what is kept of them.
 
-use serde::{Deserialize, Serialize};
-use sortie_envs::random::{chance, member};
-use sortie_envs::{EntitySet, Observation, Spec, UNASSIGNED};
-use sortie_learn::networks::best;
-use sortie_learn::subtasks::AllocatedScene;
+use sortie_envs::{Observation, Spec};
+use sortie_learn::subtasks::Places;
 use sortie_learn::{LearnError, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 
 use super::config::Config;
-use super::deciding::{Deciding, Decisions, Reached};
+use super::deciding::{Deciding, Decisions};
 use super::replay::{Moment, Replay, Taken};
 use super::team_value::Segments;
-use crate::alma::agents::{Conditioning, NO_ACTION, UtilityView};
+use crate::alma::agents::{Conditioning, UtilityView};
 use crate::alma::teams::{Agents, Players};
-
-/// What an instance remembers between steps.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Instance {
-    decisions: Decisions,
-    last_actions: Vec<u8>,
-    /// The allocation of the step before; nothing at the begin of an episode.
-    before: Vec<u8>,
-    /// What there is to see in the state in which its agents act.
-    #[serde(skip)]
-    seen: Observation,
-}
 
 /// Who acts and allocates in a step.
 #[derive(Clone, Copy, Debug)]
@@ -42,30 +27,27 @@ pub struct Behaviour<'a> {
 #[derive(Debug)]
 pub struct Rollout {
     conditioning: Conditioning,
-    instances: Vec<Instance>,
+    places: Places,
+    decisions: Vec<Decisions>,
     deciding: Deciding,
     spread: Vec<f32>,
     players: Players,
     seen: Observation,
+    agents: usize,
 }
 
 impl Rollout {
     /// Instances of an environment, none of which has begun an episode.
     pub fn new(config: &Config, spec: &Spec) -> Self {
-        let agents = spec.shape.agents;
-        let instance = |number| Instance {
-            decisions: Decisions::new(number, config.allocation.interval, agents),
-            last_actions: vec![NO_ACTION; agents],
-            before: Vec::new(),
-            seen: Observation::default(),
-        };
         Self {
             conditioning: config.network.subtask,
-            instances: (0..config.environment.instances).map(instance).collect(),
+            places: Places::new(config.allocation.interval),
+            decisions: (0..config.environment.instances).map(Decisions::new).collect(),
             deciding: Deciding::new(config, spec),
             spread: config.exploration.spread.clone(),
             players: Players::new(config.network.subtask),
             seen: Observation::default(),
+            agents: spec.shape.agents,
         }
     }
 
@@ -76,10 +58,7 @@ impl Rollout {
 
     /// An instance is about to start an episode.
     pub fn begin(&mut self, instance: usize, generator: &mut Generator) {
-        let instance = &mut self.instances[instance];
-        instance.decisions.restart(&self.deciding, generator);
-        instance.last_actions.fill(NO_ACTION);
-        instance.before.clear();
+        self.decisions[instance].restart(&self.deciding, generator);
     }
 
     /// Decides where that is due and writes the actions `[scenes, A]` of all agents; keeps the segments that a decision
@@ -97,56 +76,25 @@ impl Rollout {
         mut segments: Option<&mut Segments>,
         actions: &mut [u16],
     ) -> Result<u64, LearnError> {
+        let Behaviour { agents, epsilon, allocator } = behaviour;
+        let Self { conditioning, places, decisions, deciding, spread, players, .. } = self;
         let mut decided = 0;
-        let environment = scenes.environment;
         for scene in scenes.scenes {
-            let Instance { decisions, seen, .. } = &mut self.instances[scene.instance];
-            let (state, tasks_changed) = (scene.state, scene.tasks_changed);
-            environment.observe(state, 0, EntitySet::MAX, seen);
-            let at = Reached { environment, state, seen, tasks_changed };
-            let (generator, network) = (&mut random[scene.instance], behaviour.allocator);
-            let segments = segments.as_deref_mut();
-            let due = self.deciding.decide(decisions, at, generator, network, segments)?;
-            decided += u64::from(due);
-        }
-        self.choose(scenes, random, behaviour, actions)?;
-        Ok(decided)
-    }
-
-    /// Writes the actions of all agents: the best by the network, or a random one.
-    fn choose(
-        &mut self,
-        scenes: &Scenes<'_>,
-        random: &mut [Generator],
-        behaviour: Behaviour<'_>,
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
-        let Self { conditioning, instances, players, spread, .. } = self;
-        let environment = scenes.environment;
-        let shown = scenes.scenes.iter().map(|scene| {
-            let Instance { decisions, last_actions, seen, .. } = &instances[scene.instance];
-            let (world, state, allocation) = (scene.instance, scene.state, &decisions.allocation);
-            let strategies = &[];
-            AllocatedScene { world, environment, state, seen, allocation, last_actions, strategies }
-        });
-        let shown: Vec<AllocatedScene<'_>> = shown.collect();
-        let slots = environment.spec().shape.agents;
-        // An agent without a subtask does nothing.
-        actions.fill(environment.spec().safe_action.unwrap_or(0));
-        players.act(Agents::new(behaviour.agents), &shown, slots, |place, agent, utilities| {
-            let AllocatedScene { world, seen, allocation, .. } = shown[place];
-            if *conditioning == Conditioning::Mask && allocation[agent] == UNASSIGNED {
-                return;
+            let place = places.look(scenes.environment, scene);
+            if place.is_due {
+                let (episode, at) =
+                    (&mut decisions[scene.instance], (scenes.environment, scene.state));
+                let (generator, segments) = (&mut random[scene.instance], segments.as_deref_mut());
+                deciding.decide(episode, at, place, generator, allocator, segments)?;
+                decided += 1;
             }
-            let explore = behaviour.epsilon * spread[world % spread.len()];
-            let (available, generator) = (seen.available[agent], &mut random[world]);
-            let action = if chance(generator, explore.into()) {
-                member(generator, available.into()).unwrap_or(0)
-            } else {
-                best(utilities, available)
-            };
-            actions[place * slots + agent] = action as u16;
-        })
+        }
+        let explores = |world: usize| epsilon * spread[world % spread.len()];
+        let rest = *conditioning == Conditioning::Mask;
+        let shown = places.scenes(scenes);
+        players.explore(Agents::new(agents), &shown, random, (explores, rest), actions)?;
+        places.note(scenes, actions);
+        Ok(decided)
     }
 
     /// Keeps a step, and the segment that it completes.
@@ -156,18 +104,16 @@ impl Rollout {
         replay: &mut Replay,
         segments: Option<&mut Segments>,
     ) {
-        let Transition { environment, state, actions, next, .. } = *transition;
-        let Instance { decisions, last_actions, before, seen } =
-            &mut self.instances[transition.instance];
+        let Transition { environment, instance, state, actions, next, .. } = *transition;
+        let (place, episode) = (self.places.of(instance), &mut self.decisions[instance]);
         environment.observe(next, 0, 0, &mut self.seen);
         let did: Vec<u8> = actions.iter().map(|action| *action as u8).collect();
-        let allocation = &decisions.allocation;
+        let (allocation, last_actions) = (&place.allocation, &place.last_actions);
         let moment = Moment { state, allocation, last_actions, actions: &did };
-        let open_then = self.seen.open_tasks;
-        replay.push(Taken { transition, seen, open_then, moment, before });
-        before.clone_from(&decisions.allocation);
-        last_actions.copy_from_slice(&did);
-        decisions.remember(transition, self.deciding.allocator.discount, segments);
+        let (seen, open_then) = (&place.seen, self.seen.open_tasks);
+        replay.push(Taken { transition, seen, open_then, moment, before: &episode.before });
+        episode.before.clone_from(allocation);
+        episode.remember(transition, self.deciding.allocator.discount, segments);
     }
 
     /// Names what the instances remember.
@@ -175,16 +121,12 @@ impl Rollout {
     /// # Errors
     /// What is read does not fit.
     pub fn visit(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
-        let sizes = |instances: &[Instance]| -> Vec<[usize; 2]> {
-            let size = |it: &Instance| [it.decisions.allocation.len(), it.last_actions.len()];
-            instances.iter().map(size).collect()
-        };
-        let before = sizes(&self.instances);
-        state.value("instances", &mut self.instances)?;
-        if sizes(&self.instances) != before {
+        let instances = self.decisions.len();
+        state.value("decisions", &mut self.decisions)?;
+        if self.decisions.len() != instances {
             return Err(LearnError::Config("the checkpoint has other instances".to_owned()));
         }
-        Ok(())
+        self.places.visit(state, self.agents)
     }
 }
 

@@ -12,7 +12,6 @@ mod export;
 pub mod low_level;
 mod method;
 mod popart;
-mod rollout;
 mod sampling;
 
 use std::time::Duration;
@@ -27,8 +26,7 @@ pub use deciding::ProposalAllocator;
 pub use export::{ProposalGraphs, export_proposals};
 pub use method::WindowLearner;
 pub use popart::{PopArt, Rescale};
-pub use rollout::{Behaviour, Rollout};
-pub use sampling::{Episode, Moment, Replay, SampleShape, Shaping, cut_windows, draw_episodes};
+pub use sampling::{Note, Replay, SampleShape, Shaping, cut_windows, draw_episodes};
 
 /// The subtask of an entity that belongs to none.
 pub const NO_TASK: u8 = u8::MAX;
