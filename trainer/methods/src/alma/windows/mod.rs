@@ -17,7 +17,7 @@ mod sampling;
 use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
-use sortie_envs::{Shape, Spec};
+use sortie_envs::{ActionSet, Shape, Spec};
 use sortie_learn::networks::Targets;
 use sortie_nn::layers::SparseRows;
 
@@ -86,8 +86,8 @@ pub struct Windows {
     pub entity_task: Vec<u8>,
     /// `[W S, T]`: the subtasks that exist and are not finished.
     pub open: Vec<bool>,
-    /// `[W S, A, U]`: 0 is not available, 1 is available, 2 + t is available and applies to subtask t.
-    pub available: Vec<u16>,
+    /// `[W S, A]`: what each agent may do.
+    pub available: Vec<ActionSet>,
     /// `[W S, A]`: what the agents did.
     pub actions: Vec<u8>,
     /// `[W S, A]`: what they had done in the step before, or [`NO_ACTION`].
@@ -129,7 +129,7 @@ impl Windows {
             observable: vec![false; agents * shape.entities],
             entity_task: vec![NO_TASK; entities],
             open: vec![false; tasks],
-            available: vec![0; agents * shape.actions],
+            available: vec![0; agents],
             actions: vec![0; agents],
             last_actions: vec![NO_ACTION; agents],
             last_allocation: vec![NO_TASK; agents],

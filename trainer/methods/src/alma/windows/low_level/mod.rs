@@ -38,7 +38,6 @@ use step::{Comparison, Lane, Layers, Side, Step};
 pub use super::config::{LowLevelConfig, Nonnegative, PopArtOrder};
 pub use mixer::{HypernetworkLayers, HypernetworkShape, Mixer, MixerInput, MixerShape, Mode};
 pub use step::Term;
-pub use teams::is_available;
 pub use values::{agent_utilities, team_input, team_values};
 
 /// Parts of a step with gradients of their own.

@@ -10,12 +10,13 @@
 
 use std::time::Duration;
 
+use sortie_learn::networks::best;
 use sortie_nn::tape::{Pass, Tape, Var};
 
 use super::agents::AgentLayers;
 use super::coaching::CoachingLayers;
 use super::mixer::{Mixer, MixerInput};
-use super::teams::{Look, Teams, View, is_available, tasks_with_agents};
+use super::teams::{Look, Teams, View, tasks_with_agents};
 use crate::alma::agents::TaskOrder;
 use crate::alma::records::config::ReturnsConfig;
 use crate::alma::windows::Windows;
@@ -235,9 +236,8 @@ impl<'a> Step<'a> {
         let utilities = self.layers.agents.utilities(&mut t, look, teams, strategies);
         let rows = t.values(utilities).chunks_exact(actions).zip(teams.agents());
         let best = rows.map(|(row, (state, agent))| {
-            let codes = ((state + 1) * windows.shape.agents + agent) * actions;
-            let codes = &windows.available[codes..][..actions];
-            self.best_action(row, codes, agent, windows.allocation(state))
+            let available = windows.available[(state + 1) * windows.shape.agents + agent];
+            best(row, available) as u32
         });
         let best: Vec<u32> = best.collect();
         lane.operations += t.operations(false);
@@ -293,21 +293,6 @@ impl<'a> Step<'a> {
         }
         bootstrapped.sort_by_key(|bootstrapped| bootstrapped.state);
         bootstrapped
-    }
-
-    /// The best available action, the first of equals.
-    fn best_action(&self, row: &[f32], codes: &[u16], agent: usize, allocation: &[u8]) -> u32 {
-        let by_task = self.config.task_availability;
-        let open = |code: u16| {
-            if by_task { is_available(code, agent, allocation) } else { code > 0 }
-        };
-        let mut best = (f32::NEG_INFINITY, 0);
-        for ((action, utility), code) in (0..).zip(row).zip(codes) {
-            if open(*code) && *utility > best.0 {
-                best = (*utility, action);
-            }
-        }
-        best.1
     }
 
     /// Adds to a lane the gradients of its next terms, which are those of some states of a window.

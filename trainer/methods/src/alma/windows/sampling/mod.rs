@@ -246,17 +246,14 @@ impl Writer<'_> {
     /// What the agents that exist observe, can do and did.
     fn write_agents(&mut self, state: usize, place: Place, before: Option<Place>) {
         let Self { replay, windows, seen, .. } = self;
-        let WindowShape { agents, entities, actions, .. } = windows.shape;
+        let WindowShape { agents, entities, .. } = windows.shape;
         let present = &windows.present[state * entities..][..entities];
         let did = |place: Place, agent: usize| replay.steps.actions(place)[agent] as u8;
         for agent in 0..seen.agents() {
             let own = state * agents + agent;
             // As they act and are deployed: of what shares their subtask agents see all that exists.
             windows.observable[own * entities..][..entities].copy_from_slice(present);
-            let codes = &mut windows.available[own * actions..][..actions];
-            for (action, code) in codes.iter_mut().enumerate() {
-                *code = (seen.available[agent] >> action & 1) as u16;
-            }
+            windows.available[own] = seen.available[agent];
             windows.actions[own] = did(place, agent);
             windows.last_actions[own] = before.map_or(NO_ACTION, |before| did(before, agent));
             windows.last_allocation[own] =

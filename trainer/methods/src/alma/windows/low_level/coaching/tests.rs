@@ -24,7 +24,7 @@ fn weights() -> Generator {
 /// action changes.
 fn decided(sizes: WindowShape) -> Windows {
     let mut windows = random_windows(sizes, 1);
-    windows.available.chunks_exact_mut(sizes.actions).for_each(|codes| codes[1..].fill(0));
+    windows.available.fill(1);
     let draw = &mut generator(5, Purpose::Rollout, 0);
     windows.decision.iter_mut().for_each(|decision| *decision = chance(draw, 0.3));
     windows
