@@ -16,7 +16,6 @@ mod teams;
 mod values;
 
 use std::ops::Range;
-use std::time::Duration;
 
 use rand_core::Rng;
 use sortie_nn::lanes::in_lanes;
@@ -27,7 +26,7 @@ use sortie_nn::random::Generator;
 use sortie_nn::tape::Parameters;
 
 use super::popart::PopArt;
-use super::{LowLevelTimes, Stopwatch, WindowShape, Windows};
+use super::{WindowShape, Windows};
 use crate::alma::agents::{TaskOrder, UtilityShape, UtilityView};
 use crate::alma::coach::Coach;
 use crate::alma::teams::Agents;
@@ -83,7 +82,6 @@ pub struct LowLevel {
     lanes: Vec<Lane>,
     /// The last gradient, of all parameters that learn.
     pub gradient: Vec<f32>,
-    optimiser_time: Duration,
 }
 
 impl LowLevel {
@@ -103,7 +101,6 @@ impl LowLevel {
             target_popart: PopArt::default(),
             lanes: vec![Lane::default(); LANES],
             gradient: Vec::new(),
-            optimiser_time: Duration::ZERO,
             online,
         }
     }
@@ -190,11 +187,8 @@ impl LowLevel {
         let Self { config, online, popart, target_popart, lanes, .. } = self;
         lanes.iter_mut().for_each(|lane| lane.begin(step.online.parameters.len()));
         in_lanes(threads, lanes, |index, lane| {
-            let mut watch = Stopwatch::start();
             own(index).for_each(|states| step.value(target_popart, states, lane));
-            lane.targets_time += watch.lap();
         });
-        let mut watch = Stopwatch::start();
         let all = lanes.iter().flat_map(|lane| &lane.terms);
         let terms = all.clone().count();
         if terms == 0 {
@@ -213,13 +207,9 @@ impl LowLevel {
             PopArtOrder::Reference => &before,
         };
         let comparison = Comparison { popart, head, terms };
-        self.optimiser_time += watch.lap();
         in_lanes(threads, lanes, |index, lane| {
-            let mut watch = Stopwatch::start();
             own(index).for_each(|states| step.descend(&comparison, states, lane));
-            lane.descent_time += watch.lap();
         });
-        let mut watch = Stopwatch::start();
         let gradient = &mut self.gradient;
         gradient.clear();
         gradient.resize(step.online.parameters.len(), 0.0);
@@ -227,7 +217,6 @@ impl LowLevel {
             elementwise::scale(1.0, &lane.gradient, Store::Add, gradient);
         }
         step.hand_back(&mut lanes[0].tape, gradient);
-        self.optimiser_time += watch.lap();
         let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>() / terms as f64;
         LowLevelReport {
             terms,
@@ -266,20 +255,9 @@ impl LowLevel {
 
     /// The second half of a step: clipping and the optimiser.
     pub fn follow(&mut self) {
-        let mut watch = Stopwatch::start();
         clip_norm(&mut self.gradient, self.config.clip);
         let rate = self.config.learning_rate;
         self.optimiser.step(&mut self.online.values, &self.gradient, rate);
-        self.optimiser_time += watch.lap();
-    }
-
-    /// How long the parts of all steps have taken up to now.
-    pub fn times(&self) -> LowLevelTimes {
-        LowLevelTimes {
-            targets: self.lanes.iter().map(|lane| lane.targets_time).sum(),
-            descent: self.lanes.iter().map(|lane| lane.descent_time).sum(),
-            optimiser: self.optimiser_time,
-        }
     }
 
     /// Floating-point operations of all steps up to now: those of matrix products and attention.

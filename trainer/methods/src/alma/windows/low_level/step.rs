@@ -8,8 +8,6 @@
 //! Only teams that enter the loss are computed, and of the rows only those that somebody looks at; all
 //! others have a weight of zero, so that this is exact.
 
-use std::time::Duration;
-
 use sortie_learn::networks::best;
 use sortie_nn::tape::{Pass, Tape, Var};
 
@@ -113,8 +111,6 @@ pub(super) struct Lane {
     pub(super) sums: Sums,
     pub(super) gradient: Vec<f32>,
     pub(super) operations: u64,
-    pub(super) targets_time: Duration,
-    pub(super) descent_time: Duration,
 }
 
 impl Clone for Lane {
