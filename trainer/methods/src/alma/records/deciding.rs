@@ -1,7 +1,7 @@
 //! Who works where while learning: allocations of an episode, explored, cut into segments.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::random::{below, chance, member, unit};
+use sortie_envs::random::{below, by_weight, chance, member};
 use sortie_envs::{Environment, Observation, Spec, Step, members};
 use sortie_learn::subtasks::{NO_ACTION, Place, RuleAllocator};
 use sortie_learn::{LearnError, Transition};
@@ -65,7 +65,7 @@ impl Decisions {
 
     /// A new episode begins.
     pub(super) fn restart(&mut self, deciding: &Deciding, generator: &mut Generator) {
-        self.allocation_by = draw(&deciding.allocators, generator);
+        self.allocation_by = deciding.draw(generator);
         self.stand_in = Allocation::Rule(below(generator, deciding.stand_ins) as u8);
         self.before.clear();
         self.segment = None;
@@ -158,6 +158,12 @@ impl Deciding {
         }
     }
 
+    /// Draws who allocates in an episode.
+    fn draw(&self, generator: &mut Generator) -> Allocation {
+        let weights: Vec<f64> = self.allocators.iter().map(|(_, weight)| *weight).collect();
+        self.allocators[by_weight(generator, &weights)].0
+    }
+
     /// Decides in a state of an episode.
     ///
     /// `network` decides where the learned allocator is to, or a rule in its stead. `segments` takes the
@@ -213,19 +219,6 @@ fn move_some(
             }
         }
     }
-}
-
-/// An allocator, drawn by its weight.
-fn draw(weights: &[(Allocation, f64)], generator: &mut Generator) -> Allocation {
-    let total: f64 = weights.iter().map(|(_, weight)| weight).sum();
-    let mut left = unit(generator) * total;
-    let drawn = weights.iter().find(|(_, weight)| {
-        left -= weight;
-        left < 0.0
-    });
-    // Rounding may leave something of the last weight.
-    let last = || weights.iter().rev().find(|(_, weight)| *weight > 0.0);
-    drawn.or_else(last).map_or(Allocation::Learned, |(allocation, _)| *allocation)
 }
 
 #[cfg(test)]

@@ -2,12 +2,11 @@
 
 use rand_core::Rng;
 use sortie_envs::random::{chance, member};
-use sortie_envs::{EntitySet, Environment, Observation, Spec, UNASSIGNED};
+use sortie_envs::{EntitySet, Environment, Observation, Spec};
 use sortie_learn::LearnError;
 use sortie_learn::subtasks::{Allocate, PROPOSALS};
 use sortie_nn::random::Generator;
 
-use super::NO_TASK;
 use super::allocation::{AllocationNetworks, Decider, Noise, States, TaskColumns};
 use super::config::Exploration;
 
@@ -94,13 +93,10 @@ impl Allocate for ProposalAllocator<'_> {
     }
 }
 
-/// The environment's word for no subtask and the learner's are the same, so that allocations need no
-/// translation.
-const _: () = assert!(NO_TASK == UNASSIGNED);
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alma::windows::NO_TASK;
     use crate::alma::windows::allocation::{AllocationCritic, AllocationPolicy, AllocationShape};
     use crate::alma::windows::{Note, Replay, SampleShape, Shaping, Windows, cut_windows};
     use sortie_envs::{Split, Step};

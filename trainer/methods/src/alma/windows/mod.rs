@@ -18,17 +18,15 @@ use sortie_envs::{ActionSet, Shape, Spec};
 use sortie_learn::networks::Targets;
 use sortie_nn::layers::SparseRows;
 
+pub use sortie_envs::UNASSIGNED as NO_TASK;
+pub use sortie_learn::subtasks::NO_ACTION;
+
 pub use config::{Config, Exploration};
 pub use deciding::ProposalAllocator;
 pub use export::{ProposalGraphs, export_proposals};
 pub use method::WindowLearner;
 pub use popart::{PopArt, Rescale};
 pub use sampling::{Note, Replay, SampleShape, Shaping, cut_windows, draw_episodes};
-
-/// The subtask of an entity that belongs to none.
-pub const NO_TASK: u8 = u8::MAX;
-/// The last action at the first step of an episode.
-pub const NO_ACTION: u8 = u8::MAX;
 
 /// Sizes of a batch of windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

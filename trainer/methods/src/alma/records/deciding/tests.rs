@@ -25,7 +25,7 @@ fn deciding(change: fn(&mut Config)) -> Deciding {
 fn allocators_are_drawn_by_their_weights() {
     let deciding = deciding(|config| config.allocation.heuristic = 3.0);
     let mut random = generator(1, Purpose::Rollout, 0);
-    let drawn: Vec<_> = (0..4000).map(|_| draw(&deciding.allocators, &mut random)).collect();
+    let drawn: Vec<_> = (0..4000).map(|_| deciding.draw(&mut random)).collect();
     let share = |who| drawn.iter().filter(|drawn| **drawn == who).count() as f64 / 4000.0;
     assert!((share(Allocation::Learned) - 0.25).abs() < 0.03);
     assert!((share(NEAREST) - 0.75).abs() < 0.03);

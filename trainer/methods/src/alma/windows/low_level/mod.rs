@@ -51,10 +51,6 @@ pub struct LowLevelReport {
     pub loss: f64,
     /// What a coach adds to the loss.
     pub coach_loss: f64,
-    /// Mean absolute error in normalised units.
-    pub error: f64,
-    /// Mean value in normalised units.
-    pub value: f64,
     /// Mean target in real units.
     pub target: f64,
     /// Norm of the gradient before clipping.
@@ -217,13 +213,11 @@ impl LowLevel {
             elementwise::scale(1.0, &lane.gradient, Store::Add, gradient);
         }
         step.hand_back(&mut lanes[0].tape, gradient);
-        let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>() / terms as f64;
+        let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>();
         LowLevelReport {
             terms,
-            loss: sum(|lane| lane.sums.squared_error),
-            coach_loss: self.lanes.iter().map(|lane| lane.sums.coach).sum(),
-            error: sum(|lane| lane.sums.error),
-            value: sum(|lane| lane.sums.value),
+            loss: sum(|lane| lane.sums.squared_error) / terms as f64,
+            coach_loss: sum(|lane| lane.sums.coach),
             target: target_mean,
             gradient_norm: norm(&self.gradient),
         }

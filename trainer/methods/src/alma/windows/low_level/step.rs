@@ -93,8 +93,6 @@ pub(super) struct Comparison<'a> {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sums {
     pub(super) squared_error: f64,
-    pub(super) error: f64,
-    pub(super) value: f64,
     /// What a coach adds to the loss.
     pub(super) coach: f64,
 }
@@ -341,8 +339,6 @@ fn compare<'t>(
         let value = weights[*output as usize] * raw + biases[*output as usize];
         let error = f64::from(value) - popart.normalise(term.target);
         sums.squared_error += error * error;
-        sums.error += error.abs();
-        sums.value += f64::from(value);
         (2.0 * error / *terms as f64) as f32
     };
     compared.map(slope).collect()
