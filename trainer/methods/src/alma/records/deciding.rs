@@ -135,7 +135,7 @@ pub(super) struct Deciding {
     stand_ins: usize,
     /// Largest team that it sends to one subtask.
     team_max: usize,
-    pub(super) allocator: AllocatorConfig,
+    allocator: AllocatorConfig,
     pub(super) search: TeamSearch,
 }
 

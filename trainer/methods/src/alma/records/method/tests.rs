@@ -110,9 +110,9 @@ fn samples_reach_no_further_than_their_team_and_their_subtask() {
 #[test]
 fn instances_of_a_checkpoint_go_on() {
     let method = played(config(200), 7);
-    let Rollout { decisions, places, .. } = &method.rollout;
-    let written = serde_json::to_string(decisions).unwrap();
-    assert_eq!(&serde_json::from_str::<Vec<Decisions>>(&written).unwrap(), decisions);
+    let Records { episodes, places, .. } = &method;
+    let written = serde_json::to_string(episodes).unwrap();
+    assert_eq!(&serde_json::from_str::<Vec<Decisions>>(&written).unwrap(), episodes);
     for instance in 0..3 {
         let written = serde_json::to_string(places.of(instance)).unwrap();
         let read: Place = serde_json::from_str(&written).unwrap();
