@@ -112,8 +112,6 @@ struct Figures {
     ratios: Vec<Ratio>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     arithmetic: Vec<train::Arithmetic>,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    parts: Vec<train::Part>,
 }
 
 pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
@@ -247,7 +245,6 @@ impl Figures {
             self.rows.iter().partition(|row| row.is_rate());
         print_rows(["p50", "p99", "p99.9", "max"], &times);
         print_rows(["median", "slow 1 %", "slow 0.1 %", "slowest"], &rates);
-        self.print_parts();
         self.print_arithmetic();
         self.print_ratios();
     }
@@ -266,19 +263,6 @@ impl Figures {
             };
             let rounds = format!("{low:.2} to {high:.2}");
             table.row([case.clone(), (*engine).to_owned(), said, (*peer).to_owned(), rounds]);
-        }
-        table.print();
-    }
-
-    fn print_parts(&self) {
-        if self.parts.is_empty() {
-            return;
-        }
-        say!();
-        let mut table = Table::new(&["case", "part", "CPU-seconds", "share"]);
-        for train::Part { case, part, cpu_s, share } in &self.parts {
-            let (cpu_s, share) = (format!("{cpu_s:.3}"), format!("{:.0} %", 100.0 * share));
-            table.row([case.clone(), (*part).to_owned(), cpu_s, share]);
         }
         table.print();
     }

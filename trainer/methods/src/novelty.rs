@@ -4,8 +4,7 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::random::unit;
-use sortie_envs::{Random, SparseRows, Spec};
+use sortie_envs::{SparseRows, Spec};
 use sortie_learn::words;
 
 /// Probabilities of a pit from which on it counts as likelier to open; below the first it counts as none.
@@ -295,16 +294,6 @@ impl Types {
 pub(crate) fn shares(scores: impl Iterator<Item = f64> + Clone, temperature: f64) -> Vec<f64> {
     let most = scores.clone().fold(f64::NEG_INFINITY, f64::max);
     scores.map(|score| ((score - most) / temperature).exp()).collect()
-}
-
-/// Draws a head by its share.
-pub(crate) fn drawn(shares: &[f64], random: &mut Random) -> usize {
-    let mut left = unit(random) * shares.iter().sum::<f64>();
-    let drawn = shares.iter().position(|share| {
-        left -= share;
-        left < 0.0
-    });
-    drawn.unwrap_or(shares.len() - 1)
 }
 
 /// The discounted return of a running episode.

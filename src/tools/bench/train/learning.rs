@@ -115,7 +115,7 @@ impl Learning {
 
     /// Works for so many CPU-seconds.
     pub(super) fn turn(&mut self, work: Work, seconds: f64) -> Result<Turn, Failure> {
-        let (acted, searched) = (self.method.rollout.operations(), self.search.operations());
+        let (acted, searched) = (self.method.operations(), self.search.operations());
         let mut updates = 0;
         let mut turn = timed(seconds, || match work {
             Work::AgentsUpdate => {
@@ -137,7 +137,7 @@ impl Learning {
         })?;
         turn.operations = match work {
             Work::AgentsUpdate | Work::AllocatorUpdate => updates as f64,
-            Work::Rollout => (self.method.rollout.operations() - acted) as f64,
+            Work::Rollout => (self.method.operations() - acted) as f64,
             Work::Search => (self.search.operations() - searched) as f64,
         };
         Ok(turn)

@@ -22,8 +22,6 @@ use super::{Figures, Measuring, Row, pin};
 use learning::{Learning, Work};
 use torch::{Formulation, Torch, find};
 
-pub(super) use paper::Part;
-
 /// Rounds in which everything has its turn.
 const ROUNDS: usize = 11;
 /// Rows and columns of the matrices whose product is taken for the machine's peak.

@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use sortie_nn::tape::Linear;
+
 use super::onnx::{Attribute, Graph};
 
 /// Stands for minus infinity among logits; the softmax of a row that holds nothing else stays finite.
@@ -38,6 +40,13 @@ impl<'a> Layer<'a> {
     /// A layer whose weights are stored as PyTorch does.
     pub fn outputs_first(values: &'a [f32], bias: &'a [f32]) -> Self {
         Self { weight: Matrix { values, layout: Layout::OutputsFirst }, bias }
+    }
+
+    /// A layer of these parameters, whose weights are stored so; without offsets the bias is empty.
+    pub fn of(layer: Linear, parameters: &'a [f32], layout: Layout) -> Self {
+        let values = &parameters[layer.weight_range()];
+        let bias = layer.bias_range().map_or(&[][..], |range| &parameters[range]);
+        Self { weight: Matrix { values, layout }, bias }
     }
 }
 

@@ -3,6 +3,9 @@
 //! Of tables, one graph holds those of all agents. What an agent sees becomes two whole numbers, a place and what it
 //! holds; its number, and these, are the row.
 
+use sortie_nn::layers::linear::LinearShape;
+use sortie_nn::tape::Linear;
+
 use super::attention::{ExportError, check};
 use super::onnx::{Attribute, Dim, Element, Graph, metadata};
 
@@ -117,6 +120,14 @@ impl OwnRowNetwork {
 }
 
 impl DenseLayer {
+    /// A layer of these parameters, whose weights are stored as PyTorch does.
+    pub fn of(layer: Linear, parameters: &[f32]) -> Self {
+        let LinearShape { input: inputs, output } = layer.shape;
+        let bias =
+            layer.bias_range().map_or_else(|| vec![0.0; output], |bias| parameters[bias].to_vec());
+        Self { inputs, weight: parameters[layer.weight_range()].to_vec(), bias }
+    }
+
     /// `[inputs, outputs]`
     fn turned(&self) -> Vec<f32> {
         let column = |input| self.weight.iter().skip(input).step_by(self.inputs);

@@ -126,11 +126,7 @@ impl EntityAgent {
 
     /// The network by these weights as it is deployed, and its memory.
     pub fn deployed<'a>(&self, values: &'a [f32]) -> (AttentionNetwork<'a>, Option<GruCell<'a>>) {
-        let matrix =
-            |layer: Linear, layout| Matrix { values: &values[layer.weight_range()], layout };
-        let outputs_first = |layer: Linear| matrix(layer, Layout::OutputsFirst);
-        let whole =
-            |layer: Linear| Layer { weight: outputs_first(layer), bias: bias(layer, values) };
+        let whole = |layer: Linear| Layer::of(layer, values, Layout::OutputsFirst);
         let EntityAttention { embed, queries, keys_values, heads } = self.looking;
         let attention_in = queries.weight..keys_values.weight_range().end;
         let network = AttentionNetwork {
@@ -139,10 +135,10 @@ impl EntityAgent {
             heads,
             base: self.head.shape.input,
             outputs: self.shape.actions,
-            fc1: Layer { weight: matrix(embed, Layout::InputsFirst), bias: bias(embed, values) },
+            fc1: Layer::of(embed, values, Layout::InputsFirst),
             attention_in: Matrix { values: &values[attention_in], layout: Layout::OutputsFirst },
             attention_out: whole(self.out),
-            skip: self.skip.map(outputs_first),
+            skip: self.skip.map(|skip| whole(skip).weight),
             fc2: self.memory.map(|(before, _)| whole(before)),
             head: whole(self.head),
             pointing: self.pointing.map(|pointing| self.shape.targets.deployed(pointing, values)),
@@ -156,9 +152,4 @@ impl EntityAgent {
         });
         (network, memory)
     }
-}
-
-/// The offsets of a layer that has some.
-fn bias(layer: Linear, values: &[f32]) -> &[f32] {
-    layer.bias_range().map_or(&[], |range| &values[range])
 }

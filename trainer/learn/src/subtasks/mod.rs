@@ -6,6 +6,7 @@
 
 mod agents;
 mod allocators;
+mod places;
 mod team;
 
 use sortie_envs::{Environment, Observation, Random, Spec};
@@ -18,6 +19,7 @@ pub use agents::{MaskedViews, PolicyAgents, ScriptedAgents};
 pub use allocators::{
     DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state, allocation_state_after,
 };
+pub use places::{Place, Places};
 pub use team::AllocatedTeam;
 
 /// Allocations that a policy draws, of which a critic takes the best (dissertation section 7.4).

@@ -1,43 +1,16 @@
 //! Agents and who allocates them, as one team that plays anywhere.
 
-use sortie_envs::{DecisionPoints, EntitySet, Environment, Observation, Random, UNASSIGNED};
+use sortie_envs::{Environment, Observation, Random};
 
-use super::{Agents, Allocate, AllocatedScene, NO_ACTION};
+use super::{Agents, Allocate, Places};
 use crate::act::{Act, Scene, Scenes, Thought};
 use crate::error::LearnError;
-
-/// What an instance remembers between steps.
-#[derive(Clone, Debug)]
-struct Place {
-    points: DecisionPoints,
-    allocation: Vec<u8>,
-    /// What the agents had done when they came into the state that is seen.
-    last_actions: Vec<u8>,
-    /// What they do in it.
-    actions: Vec<u8>,
-    strategies: Vec<f32>,
-    seen: Observation,
-}
-
-impl Place {
-    fn new(interval: u32, agents: usize) -> Self {
-        Self {
-            points: DecisionPoints::every(interval),
-            allocation: vec![UNASSIGNED; agents],
-            last_actions: vec![NO_ACTION; agents],
-            actions: vec![NO_ACTION; agents],
-            strategies: Vec::new(),
-            seen: Observation::default(),
-        }
-    }
-}
 
 /// A team whose agents are allocated at decision points.
 pub struct AllocatedTeam<'a> {
     agents: Box<dyn Agents + 'a>,
     allocator: Box<dyn Allocate + 'a>,
-    interval: u32,
-    places: Vec<Place>,
+    places: Places,
 }
 
 impl<'a> AllocatedTeam<'a> {
@@ -47,12 +20,12 @@ impl<'a> AllocatedTeam<'a> {
         allocator: Box<dyn Allocate + 'a>,
         interval: u32,
     ) -> Self {
-        Self { agents, allocator, interval, places: Vec::new() }
+        Self { agents, allocator, places: Places::new(interval) }
     }
 
     /// Other actions were taken in an instance than the team chose last.
     pub fn did(&mut self, instance: usize, actions: &[u16]) {
-        note(&mut self.places[instance].actions, actions);
+        self.places.did(instance, actions);
     }
 
     /// Observes a scene, and allocates where that is due; whether it was.
@@ -62,22 +35,12 @@ impl<'a> AllocatedTeam<'a> {
         scene: &Scene<'_>,
         random: &mut Random,
     ) -> Result<bool, LearnError> {
-        let Self { agents, allocator, interval, places } = self;
-        let new = || Place::new(*interval, environment.spec().shape.agents);
-        places.resize_with(places.len().max(scene.instance + 1), new);
-        let place = &mut places[scene.instance];
-        if scene.begins {
-            *place = new();
+        let place = self.places.look(environment, scene);
+        if place.is_due {
+            self.allocator.allocate(environment, scene.state, random, &mut place.allocation)?;
+            self.agents.advise(&place.seen, &mut place.strategies)?;
         }
-        let Place { points, allocation, last_actions, actions, strategies, seen } = place;
-        last_actions.copy_from_slice(actions);
-        environment.observe(scene.state, 0, EntitySet::MAX, seen);
-        let is_due = points.is_due(scene.tasks_changed);
-        if is_due {
-            allocator.allocate(environment, scene.state, random, allocation)?;
-            agents.advise(seen, strategies)?;
-        }
-        Ok(is_due)
+        Ok(place.is_due)
     }
 
     /// Lets the agents act in scenes that were [decided](Self::decide).
@@ -87,45 +50,25 @@ impl<'a> AllocatedTeam<'a> {
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
         let slots = scenes.environment.spec().shape.agents;
-        self.agents.act(&allocated(&self.places, scenes), actions, slots)?;
-        for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact(slots)) {
-            note(&mut self.places[scene.instance].actions, actions);
-        }
+        self.agents.act(&self.places.scenes(scenes), actions, slots)?;
+        self.places.note(scenes, actions);
         Ok(())
     }
 
     /// What the agents of an instance see.
     pub(crate) fn seen(&self, instance: usize) -> &Observation {
-        &self.places[instance].seen
+        &self.places.of(instance).seen
     }
 
     /// Gives the agents of an instance other subtasks.
     pub(crate) fn reallocate(&mut self, instance: usize, allocation: &[u8]) {
-        self.places[instance].allocation.copy_from_slice(allocation);
+        self.places.of_mut(instance).allocation.copy_from_slice(allocation);
     }
 
     /// Has a second instance go on from where a first one stands.
     pub(crate) fn copy(&mut self, from: usize, to: usize) {
-        let place = self.places[from].clone();
-        self.places.resize(self.places.len().max(to + 1), place.clone());
-        self.places[to] = place;
+        self.places.copy(from, to);
     }
-}
-
-/// The scenes as agents see them.
-fn allocated<'a>(places: &'a [Place], scenes: &Scenes<'a>) -> Vec<AllocatedScene<'a>> {
-    let environment = scenes.environment;
-    let shown = scenes.scenes.iter().map(|scene| {
-        let Place { allocation, last_actions, strategies, seen, .. } = &places[scene.instance];
-        let (world, state) = (scene.instance, scene.state);
-        AllocatedScene { world, environment, state, seen, allocation, last_actions, strategies }
-    });
-    shown.collect()
-}
-
-/// Environments have few actions.
-fn note(actions: &mut [u8], taken: &[u16]) {
-    actions.iter_mut().zip(taken).for_each(|(noted, taken)| *noted = *taken as u8);
 }
 
 impl Act for AllocatedTeam<'_> {
@@ -142,11 +85,11 @@ impl Act for AllocatedTeam<'_> {
     }
 
     fn allocation(&self, instance: usize) -> &[u8] {
-        &self.places[instance].allocation
+        &self.places.of(instance).allocation
     }
 
     fn thoughts(&mut self, scenes: &Scenes<'_>, _: &[u16]) -> Vec<Thought> {
-        self.agents.thoughts(&allocated(&self.places, scenes))
+        self.agents.thoughts(&self.places.scenes(scenes))
     }
 }
 
@@ -156,7 +99,7 @@ mod tests {
 
     use super::*;
     use crate::play::{Onlooker, Watched, watch};
-    use crate::subtasks::{RuleAllocator, ScriptedAgents};
+    use crate::subtasks::{AllocatedScene, NO_ACTION, RuleAllocator, ScriptedAgents};
     use sortie_envs::{Split, Step};
 
     /// What agents and their allocator are shown, and what comes of it.

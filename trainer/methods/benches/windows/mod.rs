@@ -121,11 +121,5 @@ fn note(windows: &mut Windows, state: usize, seen: &Observation, allocation: &[u
     for task in 0..shape.tasks {
         windows.open[state * shape.tasks + task] = seen.open_tasks >> task & 1 == 1;
     }
-    let codes = shape.agents * shape.actions;
-    let mine = windows.available[state * codes..][..codes].chunks_exact_mut(shape.actions);
-    for (codes, available) in mine.zip(&seen.available) {
-        for (action, code) in codes.iter_mut().enumerate() {
-            *code = (available >> action & 1) as u16;
-        }
-    }
+    windows.available[state * shape.agents..][..shape.agents].copy_from_slice(&seen.available);
 }

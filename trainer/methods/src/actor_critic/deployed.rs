@@ -6,9 +6,8 @@ use sortie_core::{DecideError, Decision, Policy};
 use sortie_learn::export::{
     DenseLayer, DeployedAgents, DeployedNetworks, OwnRowNetwork, OwnRowNetworks,
 };
-use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::layers::normalise::EPSILON;
-use sortie_nn::tape::{Linear, Tape};
+use sortie_nn::tape::Tape;
 
 use super::acting::{Actors, scores_of};
 
@@ -25,7 +24,7 @@ fn networks(actors: Actors<'_>) -> OwnRowNetworks {
     let (mut network_of, mut networks) = (Vec::new(), Vec::new());
     let Actors { groups, policies, head, weights, .. } = actors;
     for (index, group) in groups.0.iter().enumerate() {
-        let mut layers = policies.layers(index, head).map(|layer| dense(weights, layer));
+        let mut layers = policies.layers(index, head).map(|layer| DenseLayer::of(layer, weights));
         fold(actors, index, &mut layers[0]);
         network_of.resize(group.agents.end, index);
         networks.push(OwnRowNetwork { features: group.observed, layers: layers.into() });
@@ -53,12 +52,6 @@ fn fold(actors: Actors<'_>, index: usize, layer: &mut DenseLayer) {
         }
         *bias = sum as f32;
     }
-}
-
-fn dense(weights: &[f32], layer: Linear) -> DenseLayer {
-    let Linear { shape: LinearShape { input, output }, .. } = layer;
-    let bias = layer.bias_range().map_or_else(|| vec![0.0; output], |bias| weights[bias].to_vec());
-    DenseLayer { inputs: input, weight: weights[layer.weight_range()].to_vec(), bias }
 }
 
 /// Decides with the trainer's own forward pass: what golden observations expect of every engine.

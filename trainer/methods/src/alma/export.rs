@@ -2,6 +2,7 @@
 
 use sortie_core::Policy;
 use sortie_learn::LearnError;
+use sortie_learn::configuration::require;
 use sortie_learn::export::{DeployedAgents, DeployedNetworks, Words};
 
 use super::agents::{Conditioning, NetworkPolicy, UtilityShape};
@@ -22,11 +23,10 @@ pub(super) fn deployed(
              everything, and a message of {numbers} numbers from it to each of them"
         )));
     }
-    if agents.unit.is_some() {
-        let reason =
-            "agents with a memory are evaluated only: teams of processes keep no memories yet";
-        return Err(LearnError::Config(reason.to_owned()));
-    }
+    require(
+        agents.unit.is_none(),
+        "agents with a memory are evaluated only: teams of processes keep no memories yet",
+    )?;
     if conditioning != Conditioning::Mask {
         let conditioning = conditioning.name();
         return Err(LearnError::Config(format!(

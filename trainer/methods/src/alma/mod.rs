@@ -92,6 +92,10 @@ fn is_windows(own: &Table) -> bool {
 fn settle_older(run: &mut Table) {
     if is_windows(run) {
         settle_head(run, "low_level");
+        // It never changed anything: environments tell of no actions that apply to one subtask alone.
+        if let Some(section) = run.get_mut("low_level").and_then(toml::Value::as_table_mut) {
+            section.remove("task_availability");
+        }
         return;
     }
     for path in [&["network"][..], &["allocator", "network"]] {

@@ -2,10 +2,12 @@
 //! strategies by a coach.
 
 use sortie_core::Policy;
-use sortie_envs::Observation;
+use sortie_envs::random::{chance, member};
+use sortie_envs::{Observation, UNASSIGNED};
 use sortie_learn::networks::best;
 use sortie_learn::subtasks::{self, AllocatedScene, MaskedViews};
 use sortie_learn::{LearnError, Thought};
+use sortie_nn::random::Generator;
 use sortie_nn::tape::{Gru, Tape};
 
 use crate::alma::agents::{
@@ -162,6 +164,37 @@ impl Players {
         }
         self.keep(scenes, slots, shape.base);
         Ok(())
+    }
+
+    /// Writes the actions `[scenes, A]` of agents that learn: the best by their utilities, or a random one as often as is
+    /// tried out in a world, by its generator. Where they `rest`, those without a subtask do nothing.
+    ///
+    /// # Errors
+    /// The network marks fewer subtasks than a scene has.
+    pub fn explore(
+        &mut self,
+        agents: Agents<'_>,
+        scenes: &[AllocatedScene<'_>],
+        random: &mut [Generator],
+        (epsilon, rest): (impl Fn(usize) -> f32, bool),
+        actions: &mut [u16],
+    ) -> Result<(), LearnError> {
+        let Some(AllocatedScene { environment, .. }) = scenes.first() else { return Ok(()) };
+        let slots = environment.spec().shape.agents;
+        actions.fill(environment.spec().safe_action.unwrap_or(0));
+        self.act(agents, scenes, slots, |place, agent, utilities| {
+            let AllocatedScene { world, seen, allocation, .. } = scenes[place];
+            if rest && allocation[agent] == UNASSIGNED {
+                return;
+            }
+            let (available, generator) = (seen.available[agent], &mut random[world]);
+            let action = if chance(generator, epsilon(world).into()) {
+                member(generator, available.into()).unwrap_or(0)
+            } else {
+                best(utilities, available)
+            };
+            actions[place * slots + agent] = action as u16;
+        })
     }
 
     /// Writes what all agents see.

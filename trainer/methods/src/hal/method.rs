@@ -1,6 +1,7 @@
 //! HAL as a [`Method`].
 
 use sortie_envs::{Environment, Random, Sign};
+use sortie_learn::configuration::require;
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
@@ -222,16 +223,14 @@ impl Method for Hal {
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
-        if self.config.affordances.mask != Mask::Learned {
-            let reason =
-                "only agents that have learned what they can reach are deployed: those of `hal`";
-            return Err(LearnError::Config(reason.to_owned()));
-        }
-        if self.config.network.body == Body::Convolution {
-            let reason =
-                "agents of convolutions are not deployed: those of `network.body=layers` are";
-            return Err(LearnError::Config(reason.to_owned()));
-        }
+        require(
+            self.config.affordances.mask == Mask::Learned,
+            "only agents that have learned what they can reach are deployed: those of `hal`",
+        )?;
+        require(
+            self.config.network.body == Body::Layers,
+            "agents of convolutions are not deployed: those of `network.body=layers` are",
+        )?;
         let actors = self.actors(true);
         let chances = self.config.measured.chances();
         let agents = deployed(actors, &self.signs, chances, self.seed);

@@ -1,7 +1,7 @@
 //! MA-Exp as a [`Method`].
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::random::{below, chance, unit};
+use sortie_envs::random::{below, by_weight, chance, unit};
 use sortie_envs::{EntitySet, Environment, Observation, Random};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::run::{Rates, Reports};
@@ -12,7 +12,7 @@ use super::Config;
 use super::deployed::deployed;
 use super::learner::{Deed, Learner, Rules};
 use super::table::{ACTIONS, Row, Version};
-use crate::novelty::{Columns, Discounted, Intrinsic, Place, drawn, shares};
+use crate::novelty::{Columns, Discounted, Intrinsic, Place, shares};
 
 /// Noise by which equal actions are told apart.
 const TIES: f32 = 1e-3;
@@ -284,7 +284,7 @@ impl Selector {
         if chance(random, any) {
             return below(random, self.means.len());
         }
-        drawn(&shares(self.means.iter().flatten().copied(), temperature), random)
+        by_weight(random, &shares(self.means.iter().flatten().copied(), temperature))
     }
 }
 

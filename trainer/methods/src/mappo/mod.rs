@@ -13,7 +13,7 @@ mod tests;
 
 use sortie_envs::{Spec, View};
 use sortie_learn::configuration::Range::{Numbers, OneOf, Positive, Whole};
-use sortie_learn::configuration::{OPTIMISER, OptimiserConfig, SHARE};
+use sortie_learn::configuration::{OPTIMISER, OptimiserConfig, SHARE, require};
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
 use sortie_learn::{LearnError, Method, sections, words};
@@ -123,9 +123,7 @@ fn misfit(spec: &Spec) -> Option<&'static str> {
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
     let config: Config = opening.setup.own()?;
     let width = config.network.width;
-    if !width.is_multiple_of(HEADS) {
-        let reason = format!("`network.width` is {width}, must be a multiple of {HEADS}");
-        return Err(LearnError::Config(reason));
-    }
+    let odd = format!("`network.width` is {width}, must be a multiple of {HEADS}");
+    require(width.is_multiple_of(HEADS), &odd)?;
     Ok(Box::new(Mappo::new(config, opening)))
 }

@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::Random;
-use sortie_envs::random::below;
+use sortie_envs::random::{below, by_weight};
 use sortie_nn::random::normals;
 
 use super::MetaConfig;
-use crate::novelty::{drawn, shares};
+use crate::novelty::shares;
 
 /// The meta-policy, and what the turns of each head returned.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,7 +60,7 @@ impl MetaPolicy {
     /// Draws the head of the next turn.
     pub fn draw(&mut self, uniform: bool, random: &mut Random) {
         let heads = self.scores.len();
-        let drawn = drawn(&self.chances(), random);
+        let drawn = by_weight(random, &self.chances());
         self.head = if uniform { below(random, heads) } else { drawn };
     }
 

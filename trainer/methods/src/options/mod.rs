@@ -11,7 +11,7 @@ mod returns;
 use serde::Serialize;
 use sortie_envs::{Spec, View};
 use sortie_learn::configuration::Range::{Number, Numbers, Whole};
-use sortie_learn::configuration::{OptimiserConfig, SHARE};
+use sortie_learn::configuration::{OptimiserConfig, SHARE, require};
 use sortie_learn::learner::Rules;
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::Setup;
@@ -89,12 +89,8 @@ impl ReplayConfig {
     /// It is too little.
     pub(crate) fn kept(&self, instances: usize, option_steps: u8) -> Result<usize, LearnError> {
         let kept = self.capacity / instances;
-        if kept <= 2 * usize::from(option_steps) {
-            return Err(LearnError::Config(format!(
-                "`replay.capacity` leaves {kept} steps for each instance, too few"
-            )));
-        }
-        Ok(kept)
+        let few = format!("`replay.capacity` leaves {kept} steps for each instance, too few");
+        require(kept > 2 * usize::from(option_steps), &few).map(|()| kept)
     }
 }
 
@@ -108,18 +104,17 @@ pub(crate) fn shown(
     (crop, nearest): (usize, bool),
     widths: &[(&str, usize)],
 ) -> Result<Shown, LearnError> {
-    let refused = |reason: String| Err(LearnError::Config(reason));
     for (key, width) in widths {
-        if !width.is_multiple_of(8) {
-            return refused(format!("`network.{key}` is {width}, must be a multiple of 8"));
-        }
+        let odd = format!("`network.{key}` is {width}, must be a multiple of 8");
+        require(width.is_multiple_of(8), &odd)?;
     }
-    if body == Body::Convolution && (crop < Body::SIDE || nearest) {
-        return refused(format!(
+    require(
+        body != Body::Convolution || (crop >= Body::SIDE && !nearest),
+        &format!(
             "`network.body=convolution` goes over a picture: set `network.nearest=false` and `network.crop` to at least {}",
             Body::SIDE
-        ));
-    }
+        ),
+    )?;
     Shown::new(spec, crop, nearest, body == Body::Convolution).ok_or_else(|| {
         LearnError::Config(format!("`network.crop` is {crop}: the picture has no such middle"))
     })

@@ -151,17 +151,12 @@ impl Network {
     /// The layers by these weights, as they are deployed; none of convolutions.
     pub(crate) fn dense(&self, weights: &[f32]) -> Option<[DenseLayer; 3]> {
         let OwnBody::Layers([first, second]) = self.body else { return None };
-        Some([first, second, self.head].map(|layer| {
-            let LinearShape { input, output } = layer.shape;
-            let weight = &weights[layer.weight_range()];
-            let bias = layer.bias_range().map_or(Vec::new(), |range| weights[range].to_vec());
-            // The first layer sums up rows of columns that differ from zero; it stands turned.
-            let own = |number: usize| weight.iter().skip(number).step_by(output).copied();
-            let is_turned = layer == first;
-            let weight =
-                if is_turned { (0..output).flat_map(own).collect() } else { weight.to_vec() };
-            DenseLayer { inputs: input, weight, bias }
-        }))
+        let mut layers = [first, second, self.head].map(|layer| DenseLayer::of(layer, weights));
+        // The first layer sums up rows of columns that differ from zero; it stands turned.
+        let (output, turned) = (first.shape.output, std::mem::take(&mut layers[0].weight));
+        let own = |number: usize| turned.iter().skip(number).step_by(output);
+        layers[0].weight = (0..output).flat_map(own).copied().collect();
+        Some(layers)
     }
 
     pub(crate) fn width(&self) -> usize {

@@ -107,43 +107,28 @@ fn misfit(spec: &Spec) -> Option<&'static str> {
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
     let config: Config = opening.setup.own()?;
     let spec = opening.environment.spec();
-    let refused = |reason: String| {
-        Err(LearnError::Config(format!("`{}` in `{}`: {reason}", opening.setup.method, spec.name)))
-    };
-    if !WIDTHS.contains(&config.network.width) {
-        return refused(format!(
-            "`network.width` is {}, must be one of {WIDTHS:?}",
-            config.network.width
-        ));
-    }
     let ReplayConfig { unit, capacity, batch, steps_per_update, .. } = config.replay;
-    let kept = capacity / opening.setup.environment.instances;
-    match unit {
+    let (width, kept) = (config.network.width, capacity / opening.setup.environment.instances);
+    let reason = match unit {
+        _ if !WIDTHS.contains(&width) => {
+            format!("`network.width` is {width}, must be one of {WIDTHS:?}")
+        }
         Unit::Steps if kept <= 4 * config.returns.steps => {
-            return refused(format!(
-                "`replay.capacity` leaves {kept} states for each instance, too few"
-            ));
+            format!("`replay.capacity` leaves {kept} states for each instance, too few")
         }
         Unit::Steps if steps_per_update == 0 => {
-            return refused(
-                "`replay.steps_per_update` is 0, an update for each episode, which `replay.unit=episodes` counts"
-                    .to_owned(),
-            );
+            "`replay.steps_per_update` is 0, an update for each episode, which `replay.unit=episodes` counts".to_owned()
         }
         Unit::Steps if config.network.memory > 0 => {
-            return refused(
-                "`network.memory` is learned through whole episodes, which `replay.unit=episodes` keeps"
-                    .to_owned(),
-            );
+            "`network.memory` is learned through whole episodes, which `replay.unit=episodes` keeps".to_owned()
         }
         Unit::Episodes if capacity < batch => {
-            return refused(format!(
-                "`replay.capacity` is {capacity} episodes, an update draws {batch} different ones"
-            ));
+            format!("`replay.capacity` is {capacity} episodes, an update draws {batch} different ones")
         }
-        _ => {}
-    }
-    Ok(Box::new(ValueFactorisation::new(config, opening)))
+        _ => return Ok(Box::new(ValueFactorisation::new(config, opening))),
+    };
+    let method = &opening.setup.method;
+    Err(LearnError::Config(format!("`{method}` in `{}`: {reason}", spec.name)))
 }
 
 #[cfg(test)]

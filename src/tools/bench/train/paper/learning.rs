@@ -1,7 +1,5 @@
 //! What is timed: both levels' steps and the roll-out of preset `paper`, on experience of its own.
 
-use std::time::Duration;
-
 use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
@@ -24,11 +22,10 @@ const TRIED_OUT_AT: u64 = 1_000_000;
 /// Steps that teach the networks before anything is timed, so that targets differ from what learns.
 const FIRST_STEPS: usize = 3;
 
-/// One call: CPU-seconds, floating-point operations, and the CPU-seconds of its parts.
+/// One call: CPU-seconds and floating-point operations.
 pub(super) struct Call {
     pub(super) cpu_s: f64,
     pub(super) operations: f64,
-    pub(super) parts: Vec<(&'static str, f64)>,
 }
 
 /// Both levels of a run, its roll-out, and a batch of it.
@@ -58,12 +55,10 @@ impl Player {
         Ok(Self { method, play })
     }
 
-    /// One episode in every environment, which are kept; environment steps.
+    /// One episode in every environment; environment steps.
     fn round(&mut self) -> Result<u64, Failure> {
         let now = Now { env_steps: TRIED_OUT_AT, of: TRIED_OUT_AT };
-        let steps = self.play.round(&mut self.method, now, &mut EpisodeCounts::default())?;
-        self.method.keep_episodes();
-        Ok(steps)
+        Ok(self.play.round(&mut self.method, now, &mut EpisodeCounts::default())?)
     }
 }
 
@@ -111,37 +106,21 @@ impl Levels {
     /// One step of the low level.
     pub(super) fn low_level_step(&mut self) -> Call {
         let Self { low_level, windows, generator, .. } = self;
-        let (operations, before) = (low_level.operations(), low_level.times());
+        let operations = low_level.operations();
         let start = thread_cpu_s();
         std::hint::black_box(low_level.learn(windows, 1, generator));
         let cpu_s = thread_cpu_s() - start;
-        let after = low_level.times();
-        let part = |from: Duration, to: Duration| (to - from).as_secs_f64();
-        let parts = vec![
-            ("targets", part(before.targets, after.targets)),
-            ("values and descent", part(before.descent, after.descent)),
-            ("optimiser", part(before.optimiser, after.optimiser)),
-        ];
-        Call { cpu_s, operations: (low_level.operations() - operations) as f64, parts }
+        Call { cpu_s, operations: (low_level.operations() - operations) as f64 }
     }
 
     /// One step of proposal policy and critic.
     pub(super) fn allocation_step(&mut self) -> Call {
         let Self { allocation, windows, generator, .. } = self;
-        let before = allocation.times();
         let start = thread_cpu_s();
         let report = allocation.learn(windows, 0, generator, 1);
         let cpu_s = thread_cpu_s() - start;
-        let after = allocation.times();
-        let part = |from: Duration, to: Duration| (to - from).as_secs_f64();
-        let parts = vec![
-            ("proposals", part(before.proposals, after.proposals)),
-            ("critic", part(before.critic, after.critic)),
-            ("policy's gradient", part(before.policy, after.policy)),
-            ("optimisers", part(before.optimiser, after.optimiser)),
-        ];
         let operations = report.map_or(0, |report| report.operations) as f64;
-        Call { cpu_s, operations, parts }
+        Call { cpu_s, operations }
     }
 
     /// One episode in every environment under the learned allocator: environment steps and CPU-seconds.
@@ -161,15 +140,13 @@ fn with_allocation(config: &Config, by: &str) -> Config {
 
 /// Plays so many episodes, in turns under the heuristic and under random allocations.
 fn fill(config: &Config, seed: u64, episodes: usize) -> Result<Replay, Failure> {
-    let rules = ["heuristic", "random"].map(|by| with_allocation(config, by));
-    let [mut first, mut second] = [Player::new(&rules[0], seed)?, Player::new(&rules[1], seed)?];
-    let played = |player: &Player| player.method.replay.episodes().len();
-    while played(&first) + played(&second) < episodes {
-        first.round()?;
-        second.round()?;
+    let mut player = Player::new(config, seed)?;
+    for by in ["heuristic", "random"].into_iter().cycle() {
+        if player.method.replay.steps.episodes() >= episodes {
+            break;
+        }
+        player.method.config = with_allocation(config, by);
+        player.round()?;
     }
-    let mut replay = Replay::new(2 * episodes);
-    let all = [&first, &second].into_iter().flat_map(|player| player.method.replay.episodes());
-    all.for_each(|episode| replay.push(episode.clone()));
-    Ok(replay)
+    Ok(player.method.replay)
 }

@@ -1,4 +1,4 @@
-//! Preset `paper`: CPU-seconds of both levels' steps, their parts, and the same steps in PyTorch.
+//! Preset `paper`: CPU-seconds of both levels' steps, and the same steps in PyTorch.
 
 mod learning;
 mod torch;
@@ -6,7 +6,6 @@ mod torch;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use serde::Serialize;
 use sortie_cli::failure::Failure;
 
 use super::super::{Figures, Measuring, pin};
@@ -18,16 +17,6 @@ use torch::{Formulation, Torch};
 const LEAST_ROUNDS: usize = 3;
 /// CPU-seconds for the machine's peak in every round.
 const PEAK_S: f64 = 0.1;
-
-/// A part of a step, medians over the rounds.
-#[derive(Clone, Debug, Serialize)]
-pub(in crate::bench) struct Part {
-    pub(in crate::bench) case: String,
-    pub(in crate::bench) part: &'static str,
-    pub(in crate::bench) cpu_s: f64,
-    /// Of the whole step.
-    pub(in crate::bench) share: f64,
-}
 
 /// One step again and again.
 struct Case {
@@ -86,7 +75,6 @@ impl Case {
         let calls = self.calls.iter().zip(&other.calls).map(|(a, b)| Call {
             cpu_s: a.cpu_s + b.cpu_s,
             operations: a.operations + b.operations,
-            parts: Vec::new(),
         });
         let sum = |how: usize| {
             let both = self.peers[how].iter().zip(&other.peers[how]);
@@ -106,21 +94,6 @@ impl Case {
             gflop_per_cpu_s,
             share_of_peak: gflop_per_cpu_s / peak,
         }
-    }
-
-    fn parts(&self) -> Vec<Part> {
-        let names = self.calls.first().map_or(&[][..], |call| &call.parts);
-        let median = |place: usize, of: fn(f64, f64) -> f64| {
-            let values = self.calls.iter().map(|call| of(call.parts[place].1, call.cpu_s));
-            at(&values.collect::<Vec<_>>(), 0.5)
-        };
-        let part = |(place, (part, _)): (usize, &(&'static str, f64))| Part {
-            case: self.name.clone(),
-            part,
-            cpu_s: median(place, |own, _| own),
-            share: median(place, |own, whole| own / whole),
-        };
-        names.iter().enumerate().map(part).collect()
     }
 }
 
@@ -163,7 +136,6 @@ impl Rounds {
                 &case.cpu_s(),
             ));
             figures.arithmetic.push(case.arithmetic(peak));
-            figures.parts.extend(case.parts());
             for (how, peers) in Formulation::ALL.into_iter().zip(&case.peers) {
                 let Some(version) = torch else { continue };
                 figures.rows.push(times(&case.name, how.engine(), version, peers));
@@ -196,11 +168,8 @@ mod tests {
     use super::*;
 
     fn case(calls: &[(f64, f64)], peer: &[f64]) -> Case {
-        let call = |(cpu_s, operations): &(f64, f64)| Call {
-            cpu_s: *cpu_s,
-            operations: *operations,
-            parts: vec![("first", cpu_s / 4.0), ("rest", cpu_s * 3.0 / 4.0)],
-        };
+        let call =
+            |(cpu_s, operations): &(f64, f64)| Call { cpu_s: *cpu_s, operations: *operations };
         let calls = calls.iter().map(call).collect();
         Case { name: "step".to_string(), calls, peers: [peer.to_vec(), Vec::new()] }
     }
@@ -212,7 +181,6 @@ mod tests {
         assert_eq!(pair.cpu_s(), [1.5, 3.5]);
         assert_eq!(pair.peers, [vec![11.0, 32.0], vec![]]);
         assert_eq!(pair.arithmetic(2.0).mflop, 3000.0);
-        assert!(pair.parts().is_empty());
     }
 
     #[test]
@@ -220,7 +188,5 @@ mod tests {
         let case = case(&[(1.0, 2e9), (8.0, 2e9), (2.0, 2e9)], &[]);
         let Arithmetic { gflop_per_cpu_s, share_of_peak, .. } = case.arithmetic(4.0);
         assert_eq!((gflop_per_cpu_s, share_of_peak), (1.0, 0.25));
-        let parts = case.parts().into_iter().map(|part| (part.part, part.cpu_s, part.share));
-        assert_eq!(parts.collect::<Vec<_>>(), [("first", 0.5, 0.25), ("rest", 1.5, 0.75)]);
     }
 }

@@ -219,7 +219,9 @@ impl Tensors {
         for (row, values) in dense.chunks_exact_mut(features).enumerate() {
             windows.features.row(row).for_each(|(column, value)| values[column] = value);
         }
-        let available: Vec<bool> = windows.available.iter().map(|code| *code > 0).collect();
+        let open =
+            |set: &u64| (0..actions).map(|action| set >> action & 1 == 1).collect::<Vec<_>>();
+        let available: Vec<bool> = windows.available.iter().flat_map(open).collect();
         let taken: Vec<i64> = windows.actions.iter().map(|action| i64::from(*action)).collect();
         let name = |part: &str| format!("batch.{part}");
         self.floats(name("features"), &[states, entities, features], &dense);

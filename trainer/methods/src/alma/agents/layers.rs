@@ -1,6 +1,7 @@
 //! The layers of agents on a tape: entities embedded and looked at, which coach and recognition begin with too, and the
 //! utility network behind them.
 
+use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix};
 use sortie_learn::networks::{Aims, View};
 use sortie_nn::layers::attention::AttentionShape;
 use sortie_nn::layers::linear::LinearShape;
@@ -8,7 +9,7 @@ use sortie_nn::layers::{SparseRows, VisibleLists};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Places, Var};
 
-use super::utility::UtilityShape;
+use super::utility::{UtilityShape, UtilityView};
 
 /// What the network looks at: the entities of any number of independent samples.
 ///
@@ -148,6 +149,31 @@ impl UtilityLayers {
     pub fn utilities(self, t: &mut Pass<'_>, input: &UtilityInput) -> Var {
         let looked = self.look(t, input);
         self.head(t, looked, input)
+    }
+}
+
+impl<'a> UtilityView<'a> {
+    /// The layers, for export.
+    pub fn layers(self) -> AttentionNetwork<'a> {
+        let (shape, values) = (self.shape, self.parameters);
+        let UtilityShape { input, width, heads, base, actions, targets, .. } = shape;
+        let UtilityLayers { trunk, out, fc2, head, skip, pointing } = UtilityLayers::of(shape);
+        let whole = |layer: Linear| Layer::of(layer, values, Layout::OutputsFirst);
+        let attention_in = trunk.queries.weight..trunk.keys_values.weight_range().end;
+        AttentionNetwork {
+            inputs: input,
+            width,
+            heads,
+            base,
+            outputs: actions,
+            fc1: Layer::of(trunk.fc1, values, Layout::InputsFirst),
+            attention_in: Matrix { values: &values[attention_in], layout: Layout::OutputsFirst },
+            attention_out: whole(out),
+            fc2: Some(whole(fc2)),
+            head: whole(head),
+            skip: skip.map(|skip| whole(skip).weight),
+            pointing: pointing.map(|pointing| targets.deployed(pointing, values)),
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 //! The subtask mask of ALMA lets an agent see its own team and its own subtask only (dissertation
 //! section 7.3). Without the mask an agent sees everything.
 
-use sortie_envs::random::below;
+use sortie_envs::random::shuffle;
 use sortie_envs::{AgentSet, EntitySet, Observation, Shape, SparseRows, UNASSIGNED, members};
 use sortie_learn::networks::{Targets, Teams};
 use sortie_learn::subtasks::NO_ACTION;
@@ -29,11 +29,7 @@ words! {
 impl Conditioning {
     /// As the configuration has it.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Mask => "mask",
-            Self::Input => "input",
-            Self::None => "none",
-        }
+        Self::WORDS[self as usize]
     }
 
     /// Whether teams work on subtasks of their own.
@@ -284,9 +280,7 @@ impl TaskOrder {
     /// Draws an order of so many subtasks and spare marks.
     pub fn shuffled(tasks: usize, generator: &mut Generator) -> Self {
         let mut columns: Vec<u16> = (0..tasks as u16).collect();
-        for end in (1..tasks).rev() {
-            columns.swap(end, below(generator, end + 1));
-        }
+        shuffle(generator, &mut columns);
         Self(columns)
     }
 }

@@ -9,12 +9,10 @@
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
-use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix, PointingHead};
 use sortie_learn::networks::Targets;
 use sortie_nn::layers::attention::AttentionShape;
-use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
-use sortie_nn::tape::{Linear, Parameters, Tensor};
+use sortie_nn::tape::{Parameters, Tensor};
 
 /// Sizes of a utility network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -139,44 +137,6 @@ pub struct UtilityView<'a> {
     pub shape: UtilityShape,
     /// Its parameters; others may follow.
     pub parameters: &'a [f32],
-}
-
-impl<'a> UtilityView<'a> {
-    /// The layers, for export.
-    pub fn layers(self) -> AttentionNetwork<'a> {
-        let UtilityShape { input, width, heads, base, actions, .. } = self.shape;
-        let tensors = self.shape.tensors().into_iter();
-        let mut tensors = tensors.map(|tensor| &self.parameters[tensor.range]);
-        let mut next = || tensors.next().unwrap_or(&[]);
-        let matrix = |values| Matrix { values, layout: Layout::OutputsFirst };
-        let fc1 = Matrix { values: next(), layout: Layout::InputsFirst };
-        let fc1 = Layer { weight: fc1, bias: next() };
-        let attention_in = matrix(next());
-        let mut layer = || Layer { weight: matrix(next()), bias: next() };
-        AttentionNetwork {
-            inputs: input,
-            width,
-            heads,
-            base,
-            outputs: actions,
-            fc1,
-            attention_in,
-            attention_out: layer(),
-            fc2: Some(layer()),
-            head: layer(),
-            skip: self.shape.skip.then(|| matrix(tensors.next().unwrap_or(&[]))),
-            pointing: self.pointing(),
-        }
-    }
-
-    fn pointing(self) -> Option<PointingHead<'a>> {
-        let UtilityShape { width, base, targets, .. } = self.shape;
-        let tensors = self.shape.tensors();
-        let start = |name: &str| Some(tensors.iter().find(|it| it.name == name)?.range.start);
-        let shape = LinearShape { input: base, output: targets.reach(width) };
-        let (weight, bias) = (start("pointing.weight")?, start("pointing.bias"));
-        Some(targets.deployed(Linear { shape, weight, bias }, self.parameters))
-    }
 }
 
 /// The transpose of a row-major matrix.

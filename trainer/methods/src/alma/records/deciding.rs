@@ -1,9 +1,9 @@
 //! Who works where while learning: allocations of an episode, explored, cut into segments.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::random::{below, chance, member, unit};
-use sortie_envs::{DecisionPoints, Environment, Observation, Spec, Step, UNASSIGNED, members};
-use sortie_learn::subtasks::{NO_ACTION, RuleAllocator};
+use sortie_envs::random::{below, by_weight, chance, member};
+use sortie_envs::{Environment, Observation, Spec, Step, members};
+use sortie_learn::subtasks::{NO_ACTION, Place, RuleAllocator};
 use sortie_learn::{LearnError, Transition};
 use sortie_nn::random::Generator;
 
@@ -41,8 +41,8 @@ pub(super) struct Decisions {
     allocation_by: Allocation,
     /// The rule that decides while the learned allocator learns but does not decide.
     stand_in: Allocation,
-    points: DecisionPoints,
-    pub(super) allocation: Vec<u8>,
+    /// The allocation of the step before; nothing at the begin of an episode.
+    pub(super) before: Vec<u8>,
     segment: Option<Segment>,
 }
 
@@ -58,22 +58,16 @@ struct Segment {
 }
 
 impl Decisions {
-    pub(super) fn new(instance: usize, interval: u32, agents: usize) -> Self {
-        Self {
-            instance,
-            allocation_by: Allocation::Learned,
-            stand_in: Allocation::Rule(0),
-            points: DecisionPoints::every(interval),
-            allocation: vec![UNASSIGNED; agents],
-            segment: None,
-        }
+    pub(super) fn new(instance: usize) -> Self {
+        let (allocation_by, stand_in) = (Allocation::Learned, Allocation::Rule(0));
+        Self { instance, allocation_by, stand_in, before: Vec::new(), segment: None }
     }
 
     /// A new episode begins.
     pub(super) fn restart(&mut self, deciding: &Deciding, generator: &mut Generator) {
-        self.allocation_by = draw(&deciding.allocators, generator);
+        self.allocation_by = deciding.draw(generator);
         self.stand_in = Allocation::Rule(below(generator, deciding.stand_ins) as u8);
-        self.points.restart();
+        self.before.clear();
         self.segment = None;
     }
 
@@ -99,15 +93,14 @@ impl Decisions {
     /// Ends the segment of the decision before and begins that of the one just made.
     fn begin_segment(
         &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
+        (environment, state): (&dyn Environment, &[u8]),
+        allocation: &[u8],
         segments: &mut Segments,
     ) {
         if let Some(segment) = self.segment.take() {
             self.keep(environment, segment, Step::default(), segments);
         }
-        let none = &vec![NO_ACTION; self.allocation.len()];
-        let allocation = &self.allocation;
+        let none = &vec![NO_ACTION; allocation.len()];
         let decision = Moment { state, allocation, last_actions: none, actions: none }.bytes();
         let rewards = vec![0.0; environment.spec().shape.tasks];
         self.segment = Some(Segment { decision, rewards, discount: 1.0 });
@@ -134,16 +127,6 @@ impl Decisions {
     }
 }
 
-/// A state that an episode has come to.
-#[derive(Clone, Copy)]
-pub(super) struct Reached<'a> {
-    pub(super) environment: &'a dyn Environment,
-    pub(super) state: &'a [u8],
-    pub(super) seen: &'a Observation,
-    /// Whether the step that led there changed the open tasks.
-    pub(super) tasks_changed: bool,
-}
-
 #[derive(Debug)]
 pub(super) struct Deciding {
     /// Who allocates in a training episode, by weight.
@@ -152,7 +135,7 @@ pub(super) struct Deciding {
     stand_ins: usize,
     /// Largest team that it sends to one subtask.
     team_max: usize,
-    pub(super) allocator: AllocatorConfig,
+    allocator: AllocatorConfig,
     pub(super) search: TeamSearch,
 }
 
@@ -175,24 +158,27 @@ impl Deciding {
         }
     }
 
-    /// Decides if it is time to; returns whether it was.
+    /// Draws who allocates in an episode.
+    fn draw(&self, generator: &mut Generator) -> Allocation {
+        let weights: Vec<f64> = self.allocators.iter().map(|(_, weight)| *weight).collect();
+        self.allocators[by_weight(generator, &weights)].0
+    }
+
+    /// Decides in a state of an episode.
     ///
     /// `network` decides where the learned allocator is to, or a rule in its stead. `segments` takes the
     /// segment that ends; without them the allocator learns nothing, and nothing is tried out.
     pub(super) fn decide(
         &mut self,
         episode: &mut Decisions,
-        at: Reached<'_>,
+        at: (&dyn Environment, &[u8]),
+        place: &mut Place,
         generator: &mut Generator,
         network: Option<UtilityView<'_>>,
         segments: Option<&mut Segments>,
-    ) -> Result<bool, LearnError> {
-        let Reached { environment, state, seen, tasks_changed } = at;
-        if !episode.points.is_due(tasks_changed) {
-            return Ok(false);
-        }
-        let learns = segments.is_some();
-        let allocation = &mut episode.allocation;
+    ) -> Result<(), LearnError> {
+        let (environment, state) = at;
+        let (learns, allocation) = (segments.is_some(), &mut place.allocation[..]);
         match (episode.allocation_by, network) {
             (Allocation::Learned, Some(network)) => {
                 self.search.allocate(network, environment, state, generator, allocation)?;
@@ -204,12 +190,12 @@ impl Deciding {
         }
         let explores = learns && episode.allocation_by == Allocation::Learned;
         if explores && chance(generator, self.allocator.moved_decisions) {
-            move_some(seen, self.allocator.moved, self.team_max, generator, allocation);
+            move_some(&place.seen, self.allocator.moved, self.team_max, generator, allocation);
         }
         if let Some(segments) = segments {
-            episode.begin_segment(environment, state, segments);
+            episode.begin_segment(at, allocation, segments);
         }
-        Ok(true)
+        Ok(())
     }
 }
 
@@ -233,19 +219,6 @@ fn move_some(
             }
         }
     }
-}
-
-/// An allocator, drawn by its weight.
-fn draw(weights: &[(Allocation, f64)], generator: &mut Generator) -> Allocation {
-    let total: f64 = weights.iter().map(|(_, weight)| weight).sum();
-    let mut left = unit(generator) * total;
-    let drawn = weights.iter().find(|(_, weight)| {
-        left -= weight;
-        left < 0.0
-    });
-    // Rounding may leave something of the last weight.
-    let last = || weights.iter().rev().find(|(_, weight)| *weight > 0.0);
-    drawn.or_else(last).map_or(Allocation::Learned, |(allocation, _)| *allocation)
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@
 //! subtask is special by its number.
 
 use rand_core::SeedableRng;
-use sortie_envs::random::below;
+use sortie_envs::random::shuffle;
 use sortie_envs::{ActionSet, EntitySet, Environment, Observation, Random, Spec, members};
 use sortie_learn::learner::{Loss, Shard};
 use sortie_learn::networks::{Hypernetworks, LookShape, Mixer, MixerShape, WeightsSum, best};
@@ -214,11 +214,8 @@ impl Lesson {
 fn exchange(marks: &mut Vec<u8>, tasks: usize, draw: u64) {
     marks.clear();
     marks.extend(0..tasks as u8);
-    if draw != 0 && tasks > 1 {
-        let mut generator = Generator::seed_from_u64(draw);
-        for last in (1..tasks).rev() {
-            marks.swap(last, below(&mut generator, last + 1));
-        }
+    if draw != 0 {
+        shuffle(&mut Generator::seed_from_u64(draw), marks);
     }
 }
 

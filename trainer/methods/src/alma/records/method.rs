@@ -6,33 +6,27 @@ use rand_core::Rng;
 use serde::{Deserialize, Serialize};
 use sortie_envs::random::below;
 use sortie_envs::{Environment, Observation, Random, Spec};
+use sortie_learn::configuration::require;
 use sortie_learn::export::{DeployedAgents, Words};
-use sortie_learn::learner::Rules;
 use sortie_learn::networks::MixerKind;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Level, Rates, Reports, UpdateReport};
 use sortie_learn::subtasks::{
-    Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, RuleAllocator, Subtasks,
+    Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, Places, RuleAllocator, Subtasks,
 };
-use sortie_learn::trajectory::{Capacity, Place, Widths};
-use sortie_learn::{
-    Act, LearnError, Learner, Method, Now, Scenes, State, Trajectories, Transition,
-};
+use sortie_learn::trajectory::Place;
+use sortie_learn::{Act, LearnError, Learner, Method, Now, Scenes, State, Transition};
 
-use super::config::{AllocatorConfig, Config, LEARNED, OptimiserConfig};
+use super::allocator::{Allocator, rules};
+use super::config::{Config, LEARNED};
+use super::deciding::{Deciding, Decisions};
 use super::lesson::{Drawn, Experience, Lesson, Networks, SAMPLES};
-use super::replay::Replay;
-use super::rollout::{Behaviour, Rollout};
-use super::team_value::{
-    DrawnSegment, SEGMENTS, Segments, TeamLesson, TeamValueAllocator, TeamValues,
-};
-use crate::alma::agents::{UtilityShape, UtilityView};
+use super::replay::{Moment, Replay, Taken};
+use super::team_value::TeamValueAllocator;
+use crate::alma::agents::{Conditioning, UtilityShape, UtilityView};
 use crate::alma::export;
 use crate::alma::learned::{Learned, measured};
-use crate::alma::teams::{Agents, NetworkAgents};
-
-/// Tells the allocator's streams of random numbers from the agents'.
-const ALLOCATOR_STREAM: u64 = 1;
+use crate::alma::teams::{Agents, NetworkAgents, Players};
 
 /// Agents, and where the run learns one, their allocator.
 #[derive(Debug)]
@@ -46,8 +40,12 @@ pub struct Records {
     pub replay: Replay,
     /// There is one if the run learns an allocator.
     pub allocator: Option<Allocator>,
-    /// Acts.
-    pub rollout: Rollout,
+    places: Places,
+    /// The running episode of each instance.
+    episodes: Vec<Decisions>,
+    deciding: Deciding,
+    players: Players,
+    seen: Observation,
     /// What the agents draw their samples with.
     random: Random,
     due: Due,
@@ -57,19 +55,6 @@ pub struct Records {
     keeps_segments: bool,
     samples: Vec<(Place, u8)>,
     drawn: Vec<Drawn>,
-}
-
-/// The level that allocates, and what it has seen.
-#[derive(Debug)]
-pub struct Allocator {
-    values: TeamValues,
-    /// Its networks.
-    pub learner: Learner<TeamLesson>,
-    /// What it learns from.
-    pub segments: Segments,
-    random: Random,
-    drawn: Vec<DrawnSegment>,
-    seen: Observation,
 }
 
 /// When each level makes its next update, in environment steps.
@@ -96,11 +81,6 @@ impl Due {
     }
 }
 
-/// What updates do; the averaged weights begin as a plain mean.
-fn rules(optimiser: &OptimiserConfig) -> Rules {
-    Rules { mean_first: true, ..Rules::from(optimiser) }
-}
-
 impl Records {
     /// Draws the first weights, for an environment.
     pub fn new(config: &Config, environment: &dyn Environment, seed: u64, threads: usize) -> Self {
@@ -114,7 +94,11 @@ impl Records {
             networks,
             replay: Replay::new(config, spec),
             allocator: config.learns_allocator().then(allocator),
-            rollout: Rollout::new(config, spec),
+            places: Places::new(config.allocation.interval),
+            episodes: (0..instances).map(Decisions::new).collect(),
+            deciding: Deciding::new(config, spec),
+            players: Players::new(config.network.subtask),
+            seen: Observation::default(),
             random: generator(seed, Purpose::Replay, 0),
             due: Due::default(),
             decisions: 0,
@@ -152,6 +136,11 @@ impl Records {
                 networks.loss(shard, experience, own, drawn.len())
             })
         })
+    }
+
+    /// Floating-point operations of acting up to now, those of passes.
+    pub fn operations(&self) -> u64 {
+        self.players.operations + self.deciding.search.operations()
     }
 
     /// What the last update of the agents learned from.
@@ -211,66 +200,9 @@ impl Records {
     }
 }
 
-impl Allocator {
-    fn new(
-        config: &AllocatorConfig,
-        (spec, instances): (&Spec, usize),
-        seed: u64,
-        threads: usize,
-    ) -> Self {
-        let mut weights = generator(seed, Purpose::Weights, ALLOCATOR_STREAM);
-        let (values, parameters) = TeamValues::new(config, spec, &mut weights);
-        let widths = Widths { tasks: spec.shape.tasks, ..Widths::default() };
-        let kept = Capacity::States(config.replay.capacity / instances);
-        Self {
-            values,
-            learner: Learner::new(parameters, rules(&config.optimiser), threads),
-            segments: Trajectories::noting(kept, instances, widths),
-            random: generator(seed, Purpose::Replay, ALLOCATOR_STREAM),
-            drawn: Vec::new(),
-            seen: Observation::default(),
-        }
-    }
-
-    /// One update, if there is enough to learn from.
-    pub fn update(
-        &mut self,
-        config: &AllocatorConfig,
-        environment: &dyn Environment,
-        learning_rate: f32,
-    ) -> Option<UpdateReport> {
-        let Self { values, learner, segments, random, drawn, seen } = self;
-        if !segments.can_draw(1) || segments.states() < config.replay.warm_up {
-            return None;
-        }
-        let turns = if config.replay.symmetries { environment.spec().turns } else { 1 };
-        let experience = (environment, &*segments);
-        let rules = (config.credit, turns);
-        let draw = |_| DrawnSegment::draw(experience, rules, seen, random);
-        drawn.clear();
-        drawn.extend((0..config.replay.batch).filter_map(draw));
-        let shards = drawn.len().div_ceil(SEGMENTS);
-        (shards > 0).then(|| {
-            learner.update(shards, learning_rate, |shard| {
-                let own = drawn.chunks(SEGMENTS).nth(shard.number).unwrap_or_default();
-                values.loss(shard, experience, own, drawn.len())
-            })
-        })
-    }
-
-    fn measured(&self) -> UtilityView<'_> {
-        UtilityView { shape: self.values.shape, parameters: &self.learner.average }
-    }
-
-    /// The weights that learn.
-    pub fn online(&self) -> UtilityView<'_> {
-        UtilityView { shape: self.values.shape, parameters: &self.learner.online.values }
-    }
-}
-
 impl Method for Records {
     fn begins(&mut self, instance: usize, random: &mut Random) {
-        self.rollout.begin(instance, random);
+        self.episodes[instance].restart(&self.deciding, random);
     }
 
     fn act(
@@ -280,28 +212,49 @@ impl Method for Records {
         random: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
-        let Config { exploration, allocator: config, .. } = &self.config;
-        self.keeps_segments = now.env_steps >= config.learns_from;
+        let Self { config, places, episodes, deciding, players, .. } = self;
+        let Config { exploration, allocator, .. } = config;
+        self.keeps_segments = now.env_steps >= allocator.learns_from;
         let (mut network, mut segments) = (None, None);
         if let Some(Allocator { values, learner, segments: kept, .. }) = &mut self.allocator {
             let online = UtilityView { shape: values.shape, parameters: &learner.online.values };
-            network = (now.env_steps >= config.decides_from).then_some(online);
+            network = (now.env_steps >= allocator.decides_from).then_some(online);
             segments = self.keeps_segments.then_some(kept);
         }
-        let parameters = &self.agents.online.values;
-        let behaviour = Behaviour {
-            agents: UtilityView { shape: self.networks.shape, parameters },
-            epsilon: exploration.epsilon_at(now.env_steps),
-            allocator: network,
-        };
-        self.decisions += self.rollout.act(scenes, random, behaviour, segments, actions)?;
+        for scene in scenes.scenes {
+            let place = places.look(scenes.environment, scene);
+            if place.is_due {
+                let (instance, at) = (scene.instance, (scenes.environment, scene.state));
+                let (episode, random) = (&mut episodes[instance], &mut random[instance]);
+                deciding.decide(episode, at, place, random, network, segments.as_deref_mut())?;
+                self.decisions += 1;
+            }
+        }
+        let (shape, parameters) = (self.networks.shape, &*self.agents.online.values);
+        let agents = Agents::new(UtilityView { shape, parameters });
+        let (epsilon, spread) = (exploration.epsilon_at(now.env_steps), &exploration.spread);
+        let explores = |world: usize| epsilon * spread[world % spread.len()];
+        let rest = config.network.subtask == Conditioning::Mask;
+        let shown = places.scenes(scenes);
+        players.explore(agents, &shown, random, (explores, rest), actions)?;
+        places.note(scenes, actions);
         Ok(())
     }
 
+    /// Keeps a step, and the segment that it completes.
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
+        let Transition { environment, instance, state, actions, next, .. } = *transition;
+        let (place, episode) = (self.places.of(instance), &mut self.episodes[instance]);
+        environment.observe(next, 0, 0, &mut self.seen);
+        let did: Vec<u8> = actions.iter().map(|action| *action as u8).collect();
+        let (allocation, last_actions) = (&place.allocation, &place.last_actions);
+        let moment = Moment { state, allocation, last_actions, actions: &did };
+        let (seen, open_then) = (&place.seen, self.seen.open_tasks);
+        self.replay.push(Taken { transition, seen, open_then, moment, before: &episode.before });
+        episode.before.clone_from(allocation);
         let segments = self.allocator.as_mut().map(|allocator| &mut allocator.segments);
         let segments = segments.filter(|_| self.keeps_segments);
-        self.rollout.remember(transition, &mut self.replay, segments);
+        episode.remember(transition, self.config.allocator.discount, segments);
         Ok(())
     }
 
@@ -411,13 +364,13 @@ impl Method for Records {
         }
         state.value("due", &mut self.due)?;
         state.value("random", &mut self.random)?;
-        self.rollout.visit(state)?;
+        let instances = self.episodes.len();
+        state.value("decisions", &mut self.episodes)?;
+        require(self.episodes.len() == instances, "the checkpoint has other instances")?;
+        self.places.visit(state, self.spec.shape.agents)?;
         agents.state_as(state, |part| format!("agents/{part}"))?;
         self.replay.visit(state)?;
-        let Some(Allocator { learner, segments, random, .. }) = allocator else { return Ok(()) };
-        learner.state_as(state, |part| format!("allocator/{part}"))?;
-        state.value("allocator/random", random)?;
-        segments.visit_as(state, "segments")
+        allocator.as_mut().map_or(Ok(()), |allocator| allocator.state(state))
     }
 }
 
@@ -439,3 +392,6 @@ fn begin_with<S>(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;

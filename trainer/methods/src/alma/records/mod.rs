@@ -6,19 +6,19 @@
 //! network, n-step returns, optional potential shaping, Adam, averaged weights, search instead of a
 //! proposal network.
 
+mod allocator;
 pub mod config;
 mod deciding;
 mod lesson;
 mod method;
 mod replay;
-mod rollout;
 pub mod team_value;
 #[cfg(test)]
 mod tests;
 
+pub use allocator::Allocator;
 pub use config::Config;
 pub(crate) use config::LEARNED;
 pub use lesson::{Drawn, Experience, Lesson, Networks};
-pub use method::{Allocator, Records};
+pub use method::Records;
 pub use replay::{Moment, Replay, Sample, Taken};
-pub use rollout::{Behaviour, Rollout};

@@ -72,8 +72,6 @@ sections! {
         popart_order: PopArtOrder = PopArtOrder::RescaleFirst, OneOf(PopArtOrder::WORDS);
         /// Whether the agents stay as they are: only the allocator learns.
         frozen: bool = false, Truth;
-        /// Whether actions that apply to a subtask are available to the agents allocated to it only.
-        task_availability: bool = false, Truth;
         /// Learning rate of RMSprop, of both levels.
         learning_rate: f32 = 5e-4, Number(0.0, 1000.0), "step of RMSprop";
         /// Largest norm of the gradient; a longer one is shortened.

@@ -2,12 +2,11 @@
 
 use rand_core::Rng;
 use sortie_envs::random::{chance, member};
-use sortie_envs::{EntitySet, Environment, Observation, Spec, UNASSIGNED};
+use sortie_envs::{EntitySet, Environment, Observation, Spec};
 use sortie_learn::LearnError;
 use sortie_learn::subtasks::{Allocate, PROPOSALS};
 use sortie_nn::random::Generator;
 
-use super::NO_TASK;
 use super::allocation::{AllocationNetworks, Decider, Noise, States, TaskColumns};
 use super::config::Exploration;
 
@@ -40,9 +39,9 @@ impl<'a> ProposalAllocator<'a> {
         Self { greedy_first: true, ..self }
     }
 
-    /// The same that tries out so much, and whose task columns are shuffled.
-    pub fn exploring(self, exploration: Exploration) -> Self {
-        Self { exploration: Some(exploration), ..self }
+    /// The same that tries out so much, if anything; its task columns are shuffled then.
+    pub fn exploring(self, exploration: Option<Exploration>) -> Self {
+        Self { exploration, ..self }
     }
 }
 
@@ -94,18 +93,14 @@ impl Allocate for ProposalAllocator<'_> {
     }
 }
 
-/// The environment's word for no subtask and the learner's are the same, so that allocations need no
-/// translation.
-const _: () = assert!(NO_TASK == UNASSIGNED);
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alma::windows::NO_TASK;
     use crate::alma::windows::allocation::{AllocationCritic, AllocationPolicy, AllocationShape};
-    use crate::alma::windows::{
-        Episode, Moment, Replay, SampleShape, Shaping, Windows, cut_windows,
-    };
-    use sortie_envs::Split;
+    use crate::alma::windows::{Note, Replay, SampleShape, Shaping, Windows, cut_windows};
+    use sortie_envs::{Split, Step};
+    use sortie_learn::Transition;
     use sortie_learn::random::{Purpose, generator};
 
     fn draws(index: u64) -> Generator {
@@ -123,14 +118,22 @@ mod tests {
         let mut state = Vec::new();
         city.save(0, &mut state);
         let shape = city.spec().shape;
-        let (allocation, actions) = (vec![NO_TASK; shape.agents], vec![0; shape.agents]);
-        let mut episode = Episode::begin(shape.agents, shape.tasks, 0);
-        let (allocation, actions) = (&allocation[..], &actions[..]);
-        episode.end(Moment { state: &state, allocation, decision: true, actions }, true);
-        let mut replay = Replay::new(1);
-        replay.push(episode);
+        let mut replay = Replay::new(1, 1, &shape);
+        let step = Step { terminated: true, ..Step::default() };
+        let transition = Transition {
+            environment: &*city,
+            instance: 0,
+            state: &state,
+            actions: &vec![0; shape.agents],
+            step,
+            task_rewards: &[],
+            agent_rewards: &[],
+            next: &state,
+        };
+        let note = Note { decision: true, added: 0 };
+        replay.push(&transition, &vec![NO_TASK; shape.agents], note);
         let sample = SampleShape { windows: 1, steps: 1, shaping: Shaping::default() };
-        (state, cut_windows(&*city, &replay, &[0], sample, &mut draws(0)))
+        (state, cut_windows(&*city, &replay, &replay.episodes(), sample, &mut draws(0)))
     }
 
     fn networks() -> (AllocationPolicy, AllocationCritic) {
@@ -172,7 +175,7 @@ mod tests {
         let (policy, critic) = networks();
         let networks = AllocationNetworks { policy: &policy, critic: &critic };
         let exploration = Exploration { allocation: 1.0, ..Exploration::default() };
-        let mut allocator = ProposalAllocator::new(networks, 8).exploring(exploration);
+        let mut allocator = ProposalAllocator::new(networks, 8).exploring(Some(exploration));
         // A start with fewer agents and subtasks than there may be.
         let few = |windows: &Windows| {
             windows.open.contains(&false) && !windows.present[windows.shape.agents - 1]

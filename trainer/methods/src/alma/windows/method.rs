@@ -9,23 +9,24 @@ use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::subtasks::{
-    Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, RuleAllocator, Subtasks,
+    Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, Places, RuleAllocator, Subtasks,
 };
+use sortie_learn::trajectory::Episode;
 use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
 use sortie_nn::random::Generator;
 
 use super::WindowShape;
 use super::allocation::{AllocationLevel, AllocationNetworks};
-use super::config::Config;
+use super::config::{Config, Exploration};
 use super::deciding::ProposalAllocator;
 use super::export::{ProposalGraphs, export_proposals};
 use super::low_level::LowLevel;
-use super::rollout::{Behaviour, Rollout};
-use super::sampling::{Replay, SampleShape, Shaping, cut_windows, draw_episodes};
+use super::sampling::{Note, Replay, SampleShape, Shaping, cut_windows, draw_episodes};
+use crate::alma::coach::Advice;
 use crate::alma::export;
 use crate::alma::learned::Learned;
 use crate::alma::records::config::ReturnsConfig;
-use crate::alma::teams::NetworkAgents;
+use crate::alma::teams::{NetworkAgents, Players};
 
 /// Episodes since the run began, and when target networks were renewed last.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -38,14 +39,18 @@ struct Episodes {
 /// Agents with their mixer, and where the run learns one, their allocator.
 #[derive(Debug)]
 pub struct WindowLearner {
-    config: Config,
+    /// How it learns, and who allocates meanwhile.
+    pub config: Config,
     spec: Spec,
     threads: usize,
     /// Agents, mixer and coach.
     pub low_level: LowLevel,
     /// There is one if the run learns to allocate.
     pub allocation: Option<AllocationLevel>,
-    pub(super) rollout: Rollout,
+    places: Places,
+    players: Players,
+    /// Environment steps of the run when the episodes that are played began.
+    began: u64,
     /// Whole episodes.
     pub replay: Replay,
     /// What every update draws.
@@ -68,9 +73,15 @@ impl WindowLearner {
         }
         let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
         Self {
-            rollout: Rollout::new(config, spec.shape.agents),
+            places: Places::new(config.allocation.interval),
+            players: Players::new(config.low_level.conditioning),
+            began: 0,
             allocation: learning.map(|learning| AllocationLevel::new(learning, seed)),
-            replay: Replay::new(config.learning.episodes),
+            replay: Replay::new(
+                config.learning.episodes,
+                config.environment.instances,
+                &spec.shape,
+            ),
             sample: SampleShape {
                 windows: config.learning.windows,
                 steps: config.learning.steps,
@@ -84,12 +95,6 @@ impl WindowLearner {
             threads,
             low_level,
         }
-    }
-
-    /// Keeps the episodes of the round that is over.
-    pub fn keep_episodes(&mut self) {
-        let Self { rollout, replay, .. } = self;
-        rollout.take_episodes().for_each(|episode| replay.push(episode));
     }
 
     /// One update of each level that has enough to learn from.
@@ -109,8 +114,9 @@ impl WindowLearner {
             reports.agents.push(report);
         }
         let Some(allocation) = &mut self.allocation else { return };
-        let recent = |added: u64| now - added <= config.allocation.oldest;
-        let drawn = draw_episodes(replay, sample.windows, generator, |e| recent(e.added));
+        let added = |episode: Episode| replay.steps.note(episode.first).added;
+        let recent = |episode| now - added(episode) <= config.allocation.oldest;
+        let drawn = draw_episodes(replay, sample.windows, generator, recent);
         if let Some(drawn) = drawn {
             let windows = cut_windows(environment, replay, &drawn, *sample, generator);
             if let Some(report) = allocation.learn(&windows, now, generator, *threads) {
@@ -161,13 +167,18 @@ impl WindowLearner {
         }
     }
 
-    /// Who allocates where the team is measured.
-    fn measured_allocator(&self) -> Box<dyn Allocate + '_> {
-        match (self.config.rule(), &self.allocation) {
+    /// Who allocates: where a team is measured, or while so much is tried out.
+    fn allocator<'a>(
+        config: &'a Config,
+        learned: Option<&'a AllocationLevel>,
+        exploration: Option<Exploration>,
+    ) -> Box<dyn Allocate + 'a> {
+        match (config.rule(), learned) {
             (Some(rule), _) => Box::new(RuleAllocator(rule)),
             (None, Some(level)) => {
-                let proposals = self.config.allocation.proposals;
-                Box::new(ProposalAllocator::new(level.networks(), proposals))
+                let proposals = config.allocation.proposals;
+                let own = ProposalAllocator::new(level.networks(), proposals);
+                Box::new(own.exploring(exploration))
             }
             (None, None) => Box::new(NoSubtasks),
         }
@@ -187,30 +198,38 @@ impl Method for WindowLearner {
         random: &mut [Random],
         actions: &mut [u16],
     ) -> Result<(), LearnError> {
-        let config = &self.config;
-        let proposals = config.allocation.proposals;
-        let level = self.allocation.as_ref();
+        let Self { config, low_level, allocation, places, players, .. } = self;
         let exploration = config.exploration.at(now.env_steps);
-        let mut learned = level.map(|level| {
-            ProposalAllocator::new(level.networks(), proposals).exploring(exploration)
-        });
-        let mut rule = config.rule().map(RuleAllocator);
-        let allocator: Option<&mut dyn Allocate> = match (&mut learned, &mut rule) {
-            (Some(learned), _) => Some(learned),
-            (None, rule) => rule.as_mut().map(|rule| rule as &mut dyn Allocate),
-        };
-        let behaviour = Behaviour {
-            agents: self.low_level.players(),
-            allocator,
-            exploration,
-            added: now.env_steps,
-        };
-        self.decisions += self.rollout.act(scenes, random, behaviour, actions)?;
+        let mut allocator = Self::allocator(config, allocation.as_ref(), Some(exploration));
+        let agents = low_level.players();
+        let mut advice = agents.coach.map(Advice::new);
+        let decides = low_level.config.conditioning.has_subtasks() || advice.is_some();
+        for scene in scenes.scenes {
+            let (place, generator) =
+                (places.look(scenes.environment, scene), &mut random[scene.instance]);
+            if scene.begins {
+                self.began = now.env_steps;
+            }
+            if !place.is_due {
+                continue;
+            }
+            let allocation = &mut place.allocation;
+            allocator.allocate(scenes.environment, scene.state, generator, allocation)?;
+            if let Some(advice) = &mut advice {
+                advice.draw(&place.seen, generator, &mut place.strategies);
+            }
+            self.decisions += u64::from(decides);
+        }
+        let explores = |_| exploration.actions;
+        players.explore(agents, &places.scenes(scenes), random, (explores, false), actions)?;
+        places.note(scenes, actions);
         Ok(())
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
-        self.rollout.remember(transition);
+        let place = self.places.of(transition.instance);
+        let note = Note { decision: place.is_due, added: self.began };
+        self.replay.push(transition, &place.allocation, note);
         Ok(())
     }
 
@@ -222,7 +241,6 @@ impl Method for WindowLearner {
         reports: &mut Reports,
     ) -> Result<(), LearnError> {
         reports.decisions += std::mem::take(&mut self.decisions);
-        self.keep_episodes();
         let instances = self.config.environment.instances;
         for _ in 0..instances {
             (0..self.config.learning.updates)
@@ -241,7 +259,11 @@ impl Method for WindowLearner {
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
-        Box::new(self.allocated().under(self.measured_allocator()))
+        Box::new(self.allocated().under(Self::allocator(
+            &self.config,
+            self.allocation.as_ref(),
+            None,
+        )))
     }
 
     fn subtasks(&self) -> Option<Subtasks<'_>> {
@@ -296,7 +318,7 @@ impl Method for WindowLearner {
         }
         state.value("episodes", &mut self.episodes)?;
         state.value("generator", &mut self.generator)?;
-        state.value("replay", &mut self.replay)
+        self.replay.visit(state)
     }
 }
 
@@ -349,45 +371,4 @@ fn allocation_state(level: &mut AllocationLevel, state: &mut State<'_>) -> Resul
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::alma::agents::Conditioning;
-    use sortie_envs::Split;
-    use sortie_learn::play::{self, Play};
-    use sortie_learn::run::EpisodeCounts;
-
-    /// Small networks that learn from four windows.
-    fn small() -> Config {
-        let mut config = Config::default();
-        config.environment.instances = 4;
-        (config.low_level.width, config.low_level.base) = (8, 8);
-        config.low_level.hypernetwork_width = 8;
-        (config.learning.windows, config.learning.steps) = (4, 16);
-        config
-    }
-
-    #[test]
-    fn flat_agents_and_players_learn_where_there_are_no_subtasks() {
-        let ring = sortie_envs::open("group-matching/4x3x2", Split::Train, 1, &Default::default());
-        let ring = ring.unwrap();
-        for with_coach in [false, true] {
-            let mut config = small();
-            config.low_level.conditioning = Conditioning::None;
-            config.coach.enabled = with_coach;
-            let mut method = WindowLearner::new(&config, ring.spec(), 1, 1);
-            let random = (0..4).map(|index| generator(1, Purpose::Rollout, index)).collect();
-            let mut play = Play::new(&*ring, &mut method, random);
-            let (now, mut reports) = (Now { env_steps: 0, of: 1_000 }, Reports::default());
-            let before = method.low_level.online.clone();
-            for _ in 0..2 {
-                play.round(&mut method, now, &mut EpisodeCounts::default()).unwrap();
-                method.update(&*ring, now, &mut reports).unwrap();
-            }
-            assert_eq!(method.replay.episodes().len(), 8);
-            assert_ne!(method.low_level.online, before);
-            assert!(reports.agents.iter().all(|report| report.loss > 0.0), "{reports:?}");
-            let measured = play::evaluate(&*ring, &mut *method.team(), 8, 3).unwrap();
-            assert_eq!(measured, play::evaluate(&*ring, &mut *method.team(), 8, 3).unwrap());
-        }
-    }
-}
+mod tests;

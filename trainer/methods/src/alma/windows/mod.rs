@@ -12,28 +12,21 @@ mod export;
 pub mod low_level;
 mod method;
 mod popart;
-mod rollout;
 mod sampling;
 
-use std::time::Duration;
-
-use rustix::time::{ClockId, clock_gettime};
-use sortie_envs::{Shape, Spec};
+use sortie_envs::{ActionSet, Shape, Spec};
 use sortie_learn::networks::Targets;
 use sortie_nn::layers::SparseRows;
+
+pub use sortie_envs::UNASSIGNED as NO_TASK;
+pub use sortie_learn::subtasks::NO_ACTION;
 
 pub use config::{Config, Exploration};
 pub use deciding::ProposalAllocator;
 pub use export::{ProposalGraphs, export_proposals};
 pub use method::WindowLearner;
 pub use popart::{PopArt, Rescale};
-pub use rollout::{Behaviour, Rollout};
-pub use sampling::{Episode, Moment, Replay, SampleShape, Shaping, cut_windows, draw_episodes};
-
-/// The subtask of an entity that belongs to none.
-pub const NO_TASK: u8 = u8::MAX;
-/// The last action at the first step of an episode.
-pub const NO_ACTION: u8 = u8::MAX;
+pub use sampling::{Note, Replay, SampleShape, Shaping, cut_windows, draw_episodes};
 
 /// Sizes of a batch of windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,8 +81,8 @@ pub struct Windows {
     pub entity_task: Vec<u8>,
     /// `[W S, T]`: the subtasks that exist and are not finished.
     pub open: Vec<bool>,
-    /// `[W S, A, U]`: 0 is not available, 1 is available, 2 + t is available and applies to subtask t.
-    pub available: Vec<u16>,
+    /// `[W S, A]`: what each agent may do.
+    pub available: Vec<ActionSet>,
     /// `[W S, A]`: what the agents did.
     pub actions: Vec<u8>,
     /// `[W S, A]`: what they had done in the step before, or [`NO_ACTION`].
@@ -131,7 +124,7 @@ impl Windows {
             observable: vec![false; agents * shape.entities],
             entity_task: vec![NO_TASK; entities],
             open: vec![false; tasks],
-            available: vec![0; agents * shape.actions],
+            available: vec![0; agents],
             actions: vec![0; agents],
             last_actions: vec![NO_ACTION; agents],
             last_allocation: vec![NO_TASK; agents],
@@ -152,51 +145,4 @@ impl Windows {
         let WindowShape { agents, entities, .. } = self.shape;
         &self.entity_task[state * entities..][..agents]
     }
-}
-
-/// Processor time of all threads together, of all steps of a level up to now.
-///
-/// It stands beside the reports, which are the same for every number of threads.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct LowLevelTimes {
-    /// What comes next and its value: the targets.
-    pub targets: Duration,
-    /// Values and their gradients.
-    pub descent: Duration,
-    /// Statistics, adding up the lanes, clipping and the optimiser.
-    pub optimiser: Duration,
-}
-
-/// As [`LowLevelTimes`], of the allocation level.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct AllocationTimes {
-    /// Proposing allocations.
-    pub proposals: Duration,
-    /// Valuing proposals, targets, and the critic's own values with their gradients.
-    pub critic: Duration,
-    /// The gradient of the proposal policy.
-    pub policy: Duration,
-    /// Statistics, adding up the lanes, clipping and the optimisers.
-    pub optimiser: Duration,
-}
-
-/// Measures the calling thread's work from lap to lap: other work on the processor does not count.
-#[derive(Debug)]
-struct Stopwatch(Duration);
-
-impl Stopwatch {
-    fn start() -> Self {
-        Self(thread_time())
-    }
-
-    /// Ends a lap, which the next one follows.
-    fn lap(&mut self) -> Duration {
-        let before = std::mem::replace(&mut self.0, thread_time());
-        self.0.saturating_sub(before)
-    }
-}
-
-fn thread_time() -> Duration {
-    let time = clock_gettime(ClockId::ThreadCPUTime);
-    Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
 }

@@ -15,7 +15,6 @@ use sortie_methods::alma::windows::low_level::Mode;
 use sortie_methods::alma::windows::low_level::Nonnegative;
 use sortie_methods::alma::windows::low_level::PopArtOrder;
 use sortie_methods::alma::windows::low_level::agent_utilities;
-use sortie_methods::alma::windows::low_level::is_available;
 use sortie_methods::alma::windows::low_level::team_input;
 use sortie_methods::alma::windows::low_level::team_values;
 use sortie_nn::layers::gru::{GruPass, GruShape};
@@ -25,7 +24,7 @@ use sortie_nn::optimise::RmsProp;
 use sortie_nn::tape::{Parameters, Places, Tape};
 
 use super::{reference, windows};
-use crate::files::{Case, assert_close, json_cases, json_file, json_tensor, safetensors_case};
+use crate::files::{Case, assert_close, json_cases, json_file, safetensors_case};
 
 /// The cases of a file with their switches.
 fn configured(group: &str) -> Vec<(Value, Case)> {
@@ -191,24 +190,6 @@ fn a_memory_that_is_emptied_agrees() {
             linear::forward(head, &output, &weight, &bias, &mut utilities);
             let place = batch * utilities.len()..(batch + 1) * utilities.len();
             assert_close(&case.name, &utilities, &case.get("out/q").data[place]);
-        }
-    }
-}
-
-#[test]
-fn availability_agrees() {
-    for case in json_file("avail_actions")["cases"].as_array().expect("cases") {
-        let (codes, allocation) = (&case["inputs"]["avail"], &case["inputs"]["alloc"]);
-        let (codes, allocation) = (json_tensor(codes), json_tensor(allocation));
-        let parsed = json_tensor(&case["outputs"]["parsed"]);
-        let [_, agents, actions] = codes.shape[..] else { panic!("sizes") };
-        let tasks = allocation.shape[2];
-        let task = |row: &[f64]| row.iter().position(|v| *v == 1.0).map_or(u8::MAX, |t| t as u8);
-        let allocation: Vec<u8> = allocation.data.chunks(tasks).map(task).collect();
-        for (index, (code, want)) in codes.data.iter().zip(&parsed.data).enumerate() {
-            let (state, agent) = (index / actions / agents, index / actions % agents);
-            let own = &allocation[state * agents..][..agents];
-            assert_eq!(is_available(*code as u16, agent, own), *want == 1.0, "{code} at {index}");
         }
     }
 }

@@ -1,7 +1,9 @@
 use super::*;
 use crate::alma::records::tests::toy::{AGENTS, Street, toy};
-use sortie_envs::Rule;
+use sortie_envs::{Rule, UNASSIGNED};
+use sortie_learn::Scene;
 use sortie_learn::random::{Purpose, generator};
+use sortie_learn::subtasks::Places;
 use sortie_learn::trajectory::{Capacity, End, Widths};
 
 /// Room for so many segments of one instance.
@@ -23,7 +25,7 @@ fn deciding(change: fn(&mut Config)) -> Deciding {
 fn allocators_are_drawn_by_their_weights() {
     let deciding = deciding(|config| config.allocation.heuristic = 3.0);
     let mut random = generator(1, Purpose::Rollout, 0);
-    let drawn: Vec<_> = (0..4000).map(|_| draw(&deciding.allocators, &mut random)).collect();
+    let drawn: Vec<_> = (0..4000).map(|_| deciding.draw(&mut random)).collect();
     let share = |who| drawn.iter().filter(|drawn| **drawn == who).count() as f64 / 4000.0;
     assert!((share(Allocation::Learned) - 0.25).abs() < 0.03);
     assert!((share(NEAREST) - 0.75).abs() < 0.03);
@@ -32,7 +34,7 @@ fn allocators_are_drawn_by_their_weights() {
 #[test]
 fn who_learns_decides_or_is_stood_in_for_and_nothing_else_is_tried_out() {
     let (environment, street) = (toy(), Street::new(6, &[3, 4, 14]));
-    let (state, seen) = (street.bytes(), street.seen());
+    let state = street.bytes();
     let mut random = generator(1, Purpose::Rollout, 0);
     let mut by = |rule: Allocation| {
         let mut allocation = vec![UNASSIGNED; AGENTS];
@@ -45,14 +47,15 @@ fn who_learns_decides_or_is_stood_in_for_and_nothing_else_is_tried_out() {
         let mut config = Config::default();
         (config.allocator.moved, config.allocator.moved_decisions) = (1.0, moved_decisions);
         let stand_in = NEAREST;
-        let mut episode = Decisions { allocation_by, stand_in, ..Decisions::new(0, 5, AGENTS) };
+        let mut episode = Decisions { allocation_by, stand_in, ..Decisions::new(0) };
         let (mut random, mut segments) = (generator(1, Purpose::Rollout, 0), segments(10));
         let segments = learns.then_some(&mut segments);
-        let tasks_changed = false;
-        let now = Reached { environment: &environment, state: &state, seen: &seen, tasks_changed };
         let mut deciding = Deciding::new(&config, environment.spec());
-        assert!(deciding.decide(&mut episode, now, &mut random, None, segments).unwrap());
-        episode.allocation
+        let (mut places, now) = (Places::new(5), (&environment as &dyn Environment, &*state));
+        let scene = Scene { instance: 0, state: &state, begins: true, tasks_changed: false };
+        let place = places.look(&environment, &scene);
+        deciding.decide(&mut episode, now, place, &mut random, None, segments).unwrap();
+        place.allocation.clone()
     };
     assert_eq!(decided(Allocation::Learned, true, 0.0), nearest, "the episode's stand-in");
     assert_ne!(decided(Allocation::Learned, true, 1.0), nearest, "and agents are moved");
@@ -63,7 +66,7 @@ fn who_learns_decides_or_is_stood_in_for_and_nothing_else_is_tried_out() {
 #[test]
 fn an_episode_is_decided_by_whom_the_run_asks_for() {
     let by = |change| {
-        let mut episode = Decisions::new(0, 5, AGENTS);
+        let mut episode = Decisions::new(0);
         episode.restart(&deciding(change), &mut generator(1, Purpose::Rollout, 0));
         episode.allocation_by
     };
@@ -81,7 +84,7 @@ fn the_first_rules_stand_in() {
         let rules = names.iter().map(|name| Rule { name, about: "" }).collect::<Vec<_>>();
         let spec = Spec { rules: rules.leak(), ..toy().spec().clone() };
         let deciding = Deciding::new(&Config::default(), &spec);
-        let mut episode = Decisions::new(0, 5, AGENTS);
+        let mut episode = Decisions::new(0);
         let mut random = generator(1, Purpose::Rollout, 0);
         let drawn = (0..50).map(|_| {
             episode.restart(&deciding, &mut random);
@@ -120,7 +123,7 @@ fn a_share_of_the_agents_moves_to_open_sites_with_room() {
 fn rewards_of_a_segment_are_discounted_step_by_step() {
     let (environment, state) = (toy(), Street::new(1, &[3, 9]).bytes());
     let mut segments = segments(10);
-    let mut episode = Decisions::new(0, 5, AGENTS);
+    let mut episode = Decisions::new(0);
     let earn = |episode: &mut Decisions, rewards, step, segments: &mut Segments| {
         let transition = Transition {
             environment: &environment,
@@ -135,8 +138,9 @@ fn rewards_of_a_segment_are_discounted_step_by_step() {
         episode.remember(&transition, 0.5, Some(segments));
     };
     let allocate = |episode: &mut Decisions, task, segments: &mut Segments| {
-        episode.allocation[0] = task;
-        episode.begin_segment(&environment, &state, segments);
+        let mut allocation = [UNASSIGNED; AGENTS];
+        allocation[0] = task;
+        episode.begin_segment((&environment, &state), &allocation, segments);
     };
     let (open, terminated) = (Step::default(), Step { terminated: true, ..Step::default() });
     let timed_out = Step { timed_out: true, ..Step::default() };

@@ -10,7 +10,6 @@ use super::networks::AllocationCritic;
 use super::proposals::Proposals;
 use super::rows::Rows;
 use super::{AllocationLearning, StepDraws};
-use crate::alma::windows::{AllocationTimes, Stopwatch};
 
 /// How rows count in the losses.
 #[derive(Clone, Debug)]
@@ -65,8 +64,6 @@ pub(super) struct Lane {
     pub(super) entropy: f64,
     /// Floating-point operations of the step.
     pub(super) operations: u64,
-    /// Of all steps.
-    pub(super) times: AllocationTimes,
 }
 
 impl Clone for Lane {
@@ -94,7 +91,6 @@ impl Lane {
         zero(&mut self.policy_gradient, policy.parameters.values.len());
         (self.surprise, self.entropy, self.operations) = (0.0, 0.0, 0);
         let entropy_weight = (learning.entropy / loss.proposals) as f32;
-        let mut watch = Stopwatch::start();
         for block in blocks(range) {
             let Self { policy_tape, critic_tape, input, .. } = self;
             let sampling = (learning.proposals, draws.noise);
@@ -102,7 +98,6 @@ impl Lane {
             let columns = &draws.proposals;
             let mut proposals =
                 Proposals::draw(policy_tape, policy, own, &columns.policy, sampling);
-            self.times.proposals += watch.lap();
             let own = (states, &*columns.critic);
             let (t, values) = critic.value(critic_tape, input, own, proposals.distinct());
             let found = best_of(&proposals, critic, t.values(values));
@@ -115,17 +110,14 @@ impl Lane {
                 best.push((whole, loss.policy[row] as f32));
             }
             self.entropy += proposals.entropy();
-            self.times.critic += watch.lap();
             proposals.descend(&best, entropy_weight, &mut self.policy_gradient);
             self.operations += proposals.t.operations(true);
-            self.times.policy += watch.lap();
 
             let first = self.best.len() - block.len() * states.agents;
             let best = block.zip(self.best[first..].chunks_exact(states.agents));
             let (t, values) = target.value(critic_tape, input, (states, &draws.target), best);
             self.values.extend(t.values(values).iter().map(|raw| target.real(*raw)));
             self.operations += t.operations(false);
-            self.times.critic += watch.lap();
         }
     }
 
@@ -138,7 +130,6 @@ impl Lane {
         loss: &Loss,
         (targets, columns): (&[f64], &[u8]),
     ) {
-        let mut watch = Stopwatch::start();
         let states = &rows.states;
         zero(&mut self.critic_gradient, critic.parameters.values.len());
         self.squared_error = 0.0;
@@ -165,7 +156,6 @@ impl Lane {
             t.backward(loss, &mut self.critic_gradient);
             self.operations += t.operations(true);
         }
-        self.times.critic += watch.lap();
     }
 }
 

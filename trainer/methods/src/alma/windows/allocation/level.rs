@@ -5,7 +5,6 @@
 //! on the number of threads nor on their timing.
 
 use std::ops::Range;
-use std::time::Duration;
 
 use sortie_learn::random::{Purpose, generator};
 use sortie_nn::lanes::in_lanes;
@@ -17,7 +16,7 @@ use super::lane::{Lane, Loss};
 use super::networks::{AllocationCritic, AllocationPolicy};
 use super::rows::Rows;
 use super::{AllocationLearning, StepDraws};
-use crate::alma::windows::{AllocationTimes, Stopwatch, Windows};
+use crate::alma::windows::Windows;
 
 /// Into how many parts the rows of a step are cut.
 const LANES: usize = 8;
@@ -74,7 +73,6 @@ pub struct AllocationLevel {
     lanes: Vec<Lane>,
     /// What the last step was computed from.
     pub last: LastStep,
-    optimiser_time: Duration,
 }
 
 impl AllocationLevel {
@@ -103,26 +101,12 @@ impl AllocationLevel {
             target,
             lanes: vec![Lane::default(); LANES],
             last: LastStep::default(),
-            optimiser_time: Duration::ZERO,
         }
     }
 
     /// The networks that decide.
     pub fn networks(&self) -> AllocationNetworks<'_> {
         AllocationNetworks { policy: &self.policy, critic: &self.critic }
-    }
-
-    /// How long the parts of all steps have taken up to now.
-    pub fn times(&self) -> AllocationTimes {
-        let sum = |of: fn(&AllocationTimes) -> Duration| {
-            self.lanes.iter().map(|lane| of(&lane.times)).sum::<Duration>()
-        };
-        AllocationTimes {
-            proposals: sum(|times| times.proposals),
-            critic: sum(|times| times.critic),
-            policy: sum(|times| times.policy),
-            optimiser: self.optimiser_time,
-        }
     }
 
     /// Lets the target critic be what the critic is.
@@ -176,7 +160,6 @@ impl AllocationLevel {
             lane.propose(networks, &self.target, (rows, range), loss, draws, learning);
         });
 
-        let mut watch = Stopwatch::start();
         self.last.best.clear();
         self.last.best.extend(self.lanes.iter().flat_map(|lane| lane.best.iter().copied()));
         let next: Vec<f64> =
@@ -195,7 +178,6 @@ impl AllocationLevel {
         let after = self.critic.head();
         let compared = if self.learning.as_public_code { before } else { after };
         let (critic, targets) = (&self.critic, &self.last.normalised);
-        self.optimiser_time += watch.lap();
         in_lanes(threads, &mut self.lanes, |index, lane| {
             let range = lane_range(count, index);
             lane.value((critic, compared), (rows, range), loss, (targets, &draws.stored));
@@ -205,7 +187,6 @@ impl AllocationLevel {
 
     /// Adds up the lanes and moves both networks.
     fn descend(&mut self, rows: &Rows, loss: &Loss) -> AllocationReport {
-        let mut watch = Stopwatch::start();
         let LastStep { critic_gradient, policy_gradient, .. } = &mut self.last;
         sum_into(critic_gradient, self.lanes.iter().map(|lane| &lane.critic_gradient));
         sum_into(policy_gradient, self.lanes.iter().map(|lane| &lane.policy_gradient));
@@ -216,7 +197,6 @@ impl AllocationLevel {
         let [of_critic, of_policy] = &mut self.optimisers;
         of_critic.step(&mut self.critic.parameters.values, critic_gradient, rate);
         of_policy.step(&mut self.policy.parameters.values, policy_gradient, rate);
-        self.optimiser_time += watch.lap();
         let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>();
         AllocationReport {
             rows: rows.len(),

@@ -16,7 +16,6 @@ mod teams;
 mod values;
 
 use std::ops::Range;
-use std::time::Duration;
 
 use rand_core::Rng;
 use sortie_nn::lanes::in_lanes;
@@ -27,7 +26,7 @@ use sortie_nn::random::Generator;
 use sortie_nn::tape::Parameters;
 
 use super::popart::PopArt;
-use super::{LowLevelTimes, Stopwatch, WindowShape, Windows};
+use super::{WindowShape, Windows};
 use crate::alma::agents::{TaskOrder, UtilityShape, UtilityView};
 use crate::alma::coach::Coach;
 use crate::alma::teams::Agents;
@@ -38,7 +37,6 @@ use step::{Comparison, Lane, Layers, Side, Step};
 pub use super::config::{LowLevelConfig, Nonnegative, PopArtOrder};
 pub use mixer::{HypernetworkLayers, HypernetworkShape, Mixer, MixerInput, MixerShape, Mode};
 pub use step::Term;
-pub use teams::is_available;
 pub use values::{agent_utilities, team_input, team_values};
 
 /// Parts of a step with gradients of their own.
@@ -53,10 +51,6 @@ pub struct LowLevelReport {
     pub loss: f64,
     /// What a coach adds to the loss.
     pub coach_loss: f64,
-    /// Mean absolute error in normalised units.
-    pub error: f64,
-    /// Mean value in normalised units.
-    pub value: f64,
     /// Mean target in real units.
     pub target: f64,
     /// Norm of the gradient before clipping.
@@ -84,7 +78,6 @@ pub struct LowLevel {
     lanes: Vec<Lane>,
     /// The last gradient, of all parameters that learn.
     pub gradient: Vec<f32>,
-    optimiser_time: Duration,
 }
 
 impl LowLevel {
@@ -104,7 +97,6 @@ impl LowLevel {
             target_popart: PopArt::default(),
             lanes: vec![Lane::default(); LANES],
             gradient: Vec::new(),
-            optimiser_time: Duration::ZERO,
             online,
         }
     }
@@ -191,11 +183,8 @@ impl LowLevel {
         let Self { config, online, popart, target_popart, lanes, .. } = self;
         lanes.iter_mut().for_each(|lane| lane.begin(step.online.parameters.len()));
         in_lanes(threads, lanes, |index, lane| {
-            let mut watch = Stopwatch::start();
             own(index).for_each(|states| step.value(target_popart, states, lane));
-            lane.targets_time += watch.lap();
         });
-        let mut watch = Stopwatch::start();
         let all = lanes.iter().flat_map(|lane| &lane.terms);
         let terms = all.clone().count();
         if terms == 0 {
@@ -214,13 +203,9 @@ impl LowLevel {
             PopArtOrder::Reference => &before,
         };
         let comparison = Comparison { popart, head, terms };
-        self.optimiser_time += watch.lap();
         in_lanes(threads, lanes, |index, lane| {
-            let mut watch = Stopwatch::start();
             own(index).for_each(|states| step.descend(&comparison, states, lane));
-            lane.descent_time += watch.lap();
         });
-        let mut watch = Stopwatch::start();
         let gradient = &mut self.gradient;
         gradient.clear();
         gradient.resize(step.online.parameters.len(), 0.0);
@@ -228,14 +213,11 @@ impl LowLevel {
             elementwise::scale(1.0, &lane.gradient, Store::Add, gradient);
         }
         step.hand_back(&mut lanes[0].tape, gradient);
-        self.optimiser_time += watch.lap();
-        let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>() / terms as f64;
+        let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>();
         LowLevelReport {
             terms,
-            loss: sum(|lane| lane.sums.squared_error),
-            coach_loss: self.lanes.iter().map(|lane| lane.sums.coach).sum(),
-            error: sum(|lane| lane.sums.error),
-            value: sum(|lane| lane.sums.value),
+            loss: sum(|lane| lane.sums.squared_error) / terms as f64,
+            coach_loss: sum(|lane| lane.sums.coach),
             target: target_mean,
             gradient_norm: norm(&self.gradient),
         }
@@ -267,20 +249,9 @@ impl LowLevel {
 
     /// The second half of a step: clipping and the optimiser.
     pub fn follow(&mut self) {
-        let mut watch = Stopwatch::start();
         clip_norm(&mut self.gradient, self.config.clip);
         let rate = self.config.learning_rate;
         self.optimiser.step(&mut self.online.values, &self.gradient, rate);
-        self.optimiser_time += watch.lap();
-    }
-
-    /// How long the parts of all steps have taken up to now.
-    pub fn times(&self) -> LowLevelTimes {
-        LowLevelTimes {
-            targets: self.lanes.iter().map(|lane| lane.targets_time).sum(),
-            descent: self.lanes.iter().map(|lane| lane.descent_time).sum(),
-            optimiser: self.optimiser_time,
-        }
     }
 
     /// Floating-point operations of all steps up to now: those of matrix products and attention.

@@ -8,14 +8,13 @@
 //! Only teams that enter the loss are computed, and of the rows only those that somebody looks at; all
 //! others have a weight of zero, so that this is exact.
 
-use std::time::Duration;
-
+use sortie_learn::networks::best;
 use sortie_nn::tape::{Pass, Tape, Var};
 
 use super::agents::AgentLayers;
 use super::coaching::CoachingLayers;
 use super::mixer::{Mixer, MixerInput};
-use super::teams::{Look, Teams, View, is_available, tasks_with_agents};
+use super::teams::{Look, Teams, View, tasks_with_agents};
 use crate::alma::agents::TaskOrder;
 use crate::alma::records::config::ReturnsConfig;
 use crate::alma::windows::Windows;
@@ -94,8 +93,6 @@ pub(super) struct Comparison<'a> {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sums {
     pub(super) squared_error: f64,
-    pub(super) error: f64,
-    pub(super) value: f64,
     /// What a coach adds to the loss.
     pub(super) coach: f64,
 }
@@ -112,8 +109,6 @@ pub(super) struct Lane {
     pub(super) sums: Sums,
     pub(super) gradient: Vec<f32>,
     pub(super) operations: u64,
-    pub(super) targets_time: Duration,
-    pub(super) descent_time: Duration,
 }
 
 impl Clone for Lane {
@@ -235,9 +230,8 @@ impl<'a> Step<'a> {
         let utilities = self.layers.agents.utilities(&mut t, look, teams, strategies);
         let rows = t.values(utilities).chunks_exact(actions).zip(teams.agents());
         let best = rows.map(|(row, (state, agent))| {
-            let codes = ((state + 1) * windows.shape.agents + agent) * actions;
-            let codes = &windows.available[codes..][..actions];
-            self.best_action(row, codes, agent, windows.allocation(state))
+            let available = windows.available[(state + 1) * windows.shape.agents + agent];
+            best(row, available) as u32
         });
         let best: Vec<u32> = best.collect();
         lane.operations += t.operations(false);
@@ -295,21 +289,6 @@ impl<'a> Step<'a> {
         bootstrapped
     }
 
-    /// The best available action, the first of equals.
-    fn best_action(&self, row: &[f32], codes: &[u16], agent: usize, allocation: &[u8]) -> u32 {
-        let by_task = self.config.task_availability;
-        let open = |code: u16| {
-            if by_task { is_available(code, agent, allocation) } else { code > 0 }
-        };
-        let mut best = (f32::NEG_INFINITY, 0);
-        for ((action, utility), code) in (0..).zip(row).zip(codes) {
-            if open(*code) && *utility > best.0 {
-                best = (*utility, action);
-            }
-        }
-        best.1
-    }
-
     /// Adds to a lane the gradients of its next terms, which are those of some states of a window.
     pub(super) fn descend(&self, comparison: &Comparison<'_>, states: &[usize], lane: &mut Lane) {
         let (windows, shape) = (self.windows, self.windows.shape);
@@ -360,8 +339,6 @@ fn compare<'t>(
         let value = weights[*output as usize] * raw + biases[*output as usize];
         let error = f64::from(value) - popart.normalise(term.target);
         sums.squared_error += error * error;
-        sums.error += error.abs();
-        sums.value += f64::from(value);
         (2.0 * error / *terms as f64) as f32
     };
     compared.map(slope).collect()

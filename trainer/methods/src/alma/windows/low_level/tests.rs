@@ -80,7 +80,7 @@ pub(super) fn random_windows(sizes: WindowShape, seed: u64) -> Windows {
             windows.task_terminated[at] = chance(draw, 0.1);
         }
     }
-    windows.available.fill(1);
+    windows.available.fill((1 << sizes.actions) - 1);
     windows
 }
 
@@ -147,8 +147,7 @@ fn rewards_of_more_steps_count_until_the_team_changes() {
 fn gradients_agree_with_finite_differences() {
     let mut windows = random_windows(SIZES, 1);
     // One action is left to each agent: targets jump where the best action changes.
-    let codes = windows.available.chunks_exact_mut(SIZES.actions);
-    codes.for_each(|codes| codes[1..].fill(0));
+    windows.available.fill(1);
     for (conditioning, recurrent, skip) in [
         (Conditioning::Mask, false, false),
         (Conditioning::Input, false, false),
@@ -308,24 +307,6 @@ fn one_subtask_of_everybody_is_as_none() {
     });
     assert!(masked.0.terms > 10);
     assert_eq!(masked, flat);
-}
-
-#[test]
-fn actions_of_other_subtasks_count_where_they_are_asked_about() {
-    let mut windows = random_windows(SIZES, 8);
-    // Nobody is allocated to subtask 2, so that its action is open to nobody.
-    windows.entity_task.iter_mut().for_each(|task| *task = if *task == 2 { 1 } else { *task });
-    for codes in windows.available.chunks_exact_mut(SIZES.actions) {
-        codes.copy_from_slice(&[1, 4, 4, 4]);
-    }
-    let target = |task_availability: bool, windows: &Windows| {
-        let config = LowLevelConfig { task_availability, ..config(Conditioning::Mask) };
-        learner(config, SIZES).descend(windows, 1, &mut draws()).target
-    };
-    let (open, closed) = (target(false, &windows), target(true, &windows));
-    windows.available.chunks_exact_mut(SIZES.actions).for_each(|codes| codes[1..].fill(0));
-    assert_ne!(open, closed);
-    assert_eq!(closed, target(false, &windows));
 }
 
 #[test]

@@ -10,155 +10,79 @@ mod tests;
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::random::below;
-use sortie_envs::{AgentSet, EntitySet, Environment, Observation};
+use sortie_envs::{AgentSet, EntitySet, Environment, Observation, Shape};
+use sortie_learn::trajectory::{Capacity, End, Episode, Place, Widths};
+use sortie_learn::{LearnError, State, Trajectories, Transition};
 use sortie_nn::random::Generator;
 
 use super::{NO_ACTION, NO_TASK, WindowShape, Windows};
 
-/// One episode: every state with what was decided in it, and the final state.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Episode {
-    /// Environment steps of the run when it began.
-    pub added: u64,
-    agents: usize,
-    tasks: usize,
-    /// The states, each as many bytes as it needs, and where each of them ends.
-    states: (Vec<u8>, Vec<u32>),
-    /// `[states, A]`: the allocation in force.
-    allocation: Vec<u8>,
-    /// `[states, A]`; what stands at the final state is never used.
-    actions: Vec<u8>,
-    /// `[states]`: whether agents were allocated anew.
-    decision: Vec<bool>,
-    /// `[steps]`
-    reward: Vec<f32>,
-    /// `[steps, T]`
-    task_reward: Vec<f32>,
-    /// The last step came to the episode's own end, not to its time limit.
-    pub terminated: bool,
-}
-
-/// A state with what was decided in it.
-#[derive(Clone, Copy, Debug)]
-pub struct Moment<'a> {
-    /// Its bytes.
-    pub state: &'a [u8],
-    /// `[A]`: the subtask of every agent.
-    pub allocation: &'a [u8],
-    /// Whether that was decided in this state.
+/// What is noted of a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Note {
+    /// Whether agents were allocated anew before it.
     pub decision: bool,
-    /// `[A]`: what the agents do.
-    pub actions: &'a [u16],
+    /// Environment steps of the run when its episode began.
+    pub added: u64,
 }
 
-impl Episode {
-    /// Begins an episode of at most so many agents and subtasks, `added` environment steps into the run.
-    pub fn begin(agents: usize, tasks: usize, added: u64) -> Self {
-        Self { agents, tasks, added, ..Self::default() }
-    }
-
-    /// Adds a state.
-    pub fn push_state(&mut self, moment: Moment<'_>) {
-        let (bytes, ends) = &mut self.states;
-        bytes.extend_from_slice(moment.state);
-        ends.push(bytes.len() as u32);
-        self.allocation.extend_from_slice(&moment.allocation[..self.agents]);
-        let actions = &moment.actions[..self.agents];
-        self.actions.extend(actions.iter().map(|action| *action as u8));
-        self.decision.push(moment.decision);
-    }
-
-    /// Adds what the step from the last state earned: for the team, and for every subtask that has a reward.
-    pub fn push_rewards(&mut self, team: f64, tasks: &[f64]) {
-        self.reward.push(team as f32);
-        self.task_reward.extend(tasks.iter().map(|reward| *reward as f32));
-        self.task_reward.resize(self.reward.len() * self.tasks, 0.0);
-    }
-
-    /// Adds the final state, and keeps no memory for more.
-    pub fn end(&mut self, last: Moment<'_>, terminated: bool) {
-        self.push_state(last);
-        self.terminated = terminated;
-        self.states.0.shrink_to_fit();
-        self.states.1.shrink_to_fit();
-        self.allocation.shrink_to_fit();
-        self.actions.shrink_to_fit();
-        self.decision.shrink_to_fit();
-        self.reward.shrink_to_fit();
-        self.task_reward.shrink_to_fit();
-    }
-
-    /// States, the final one included.
-    pub fn states(&self) -> usize {
-        self.states.1.len()
-    }
-
-    /// Steps taken.
-    pub fn steps(&self) -> usize {
-        self.reward.len()
-    }
-
-    /// The bytes of a state.
-    pub fn state(&self, state: usize) -> &[u8] {
-        let (bytes, ends) = &self.states;
-        let start = state.checked_sub(1).map_or(0, |before| ends[before]);
-        &bytes[start as usize..ends[state] as usize]
-    }
-
-    /// The allocation `[A]` in force in a state.
-    pub fn allocation(&self, state: usize) -> &[u8] {
-        &self.allocation[state * self.agents..][..self.agents]
-    }
-
-    /// The actions `[A]` taken in a state.
-    pub fn actions(&self, state: usize) -> &[u8] {
-        &self.actions[state * self.agents..][..self.agents]
-    }
-
-    /// Whether agents were allocated anew in a state.
-    pub fn decision(&self, state: usize) -> bool {
-        self.decision[state]
-    }
-
-    /// The team's reward of a step.
-    pub fn reward(&self, step: usize) -> f32 {
-        self.reward[step]
-    }
-
-    /// The rewards `[T]` of all subtasks in a step.
-    pub fn task_reward(&self, step: usize) -> &[f32] {
-        &self.task_reward[step * self.tasks..][..self.tasks]
-    }
-}
-
-/// The newest episodes of a run.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// The newest episodes of a run. Behind each of their states stands the allocation `[A]` that was in force.
+#[derive(Clone, Debug)]
 pub struct Replay {
-    capacity: usize,
-    episodes: Vec<Episode>,
-    /// Where the next episode goes once all places are taken.
-    next: usize,
+    agents: usize,
+    /// What was done, and earned.
+    pub steps: Trajectories<Note>,
 }
 
 impl Replay {
-    /// An empty replay with room for so many episodes.
-    pub fn new(capacity: usize) -> Self {
-        Self { capacity, episodes: Vec::new(), next: 0 }
-    }
-
-    /// Adds an episode, in place of the oldest where there is no room.
-    pub fn push(&mut self, episode: Episode) {
-        if self.episodes.len() < self.capacity {
-            self.episodes.push(episode);
-        } else {
-            self.episodes[self.next] = episode;
-            self.next = (self.next + 1) % self.capacity;
+    /// Room for so many episodes, of so many instances of an environment of this shape.
+    pub fn new(episodes: usize, instances: usize, shape: &Shape) -> Self {
+        let Shape { agents, tasks, .. } = *shape;
+        let widths = Widths { agents, tasks, earners: 0 };
+        Self {
+            agents,
+            steps: Trajectories::noting(Capacity::Episodes(episodes), instances, widths),
         }
     }
 
-    /// All episodes, in no particular order.
-    pub fn episodes(&self) -> &[Episode] {
-        &self.episodes
+    /// Adds a step under an allocation.
+    pub fn push(&mut self, transition: &Transition<'_>, allocation: &[u8], note: Note) {
+        let state = &[transition.state, allocation].concat();
+        let last = if transition.step.done() { transition.next } else { &[] };
+        self.steps.push_noted(
+            &Transition { state, next: &[last, allocation].concat(), ..*transition },
+            note,
+        );
+    }
+
+    /// All episodes, one round behind the other and those of a round by their instances.
+    pub fn episodes(&self) -> Vec<Episode> {
+        let mut episodes: Vec<Episode> = self.steps.latest(usize::MAX).collect();
+        episodes.sort_by_key(|episode| (self.steps.note(episode.first).added, episode.first));
+        episodes
+    }
+
+    /// The bytes of a state.
+    pub fn state(&self, place: Place) -> &[u8] {
+        self.parts(place).0
+    }
+
+    /// The allocation `[A]` in force in a state.
+    pub fn allocation(&self, place: Place) -> &[u8] {
+        self.parts(place).1
+    }
+
+    fn parts(&self, place: Place) -> (&[u8], &[u8]) {
+        let whole = self.steps.state(place);
+        whole.split_at(whole.len() - self.agents)
+    }
+
+    /// Names all of it.
+    ///
+    /// # Errors
+    /// A checkpoint has none, or one of another size.
+    pub fn visit(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+        self.steps.visit(state)
     }
 }
 
@@ -182,16 +106,15 @@ pub struct Shaping {
     pub discount: f32,
 }
 
-/// Draws distinct episodes among those that `may_be_drawn`, as indices, or `None` if there are too few.
+/// Draws distinct episodes among those that `may_be_drawn`, or `None` if there are too few.
 pub fn draw_episodes(
     replay: &Replay,
     count: usize,
     generator: &mut Generator,
-    may_be_drawn: impl Fn(&Episode) -> bool,
-) -> Option<Vec<usize>> {
-    let episodes = replay.episodes().iter().enumerate();
-    let mut candidates: Vec<usize> =
-        episodes.filter(|(_, episode)| may_be_drawn(episode)).map(|(index, _)| index).collect();
+    may_be_drawn: impl Fn(Episode) -> bool,
+) -> Option<Vec<Episode>> {
+    let mut candidates = replay.episodes();
+    candidates.retain(|episode| may_be_drawn(*episode));
     if candidates.len() < count {
         return None;
     }
@@ -203,29 +126,36 @@ pub fn draw_episodes(
     Some(candidates)
 }
 
+/// A state of an episode, by its number there.
+type At = (Episode, usize);
+
+/// States of an episode, the one among them that it ended in.
+fn states(episode: &Episode) -> usize {
+    episode.steps + 1
+}
+
 /// Cuts windows from some episodes of an environment.
 pub fn cut_windows(
     environment: &dyn Environment,
     replay: &Replay,
-    drawn: &[usize],
+    drawn: &[Episode],
     sample: SampleShape,
     generator: &mut Generator,
 ) -> Windows {
-    let episodes: Vec<&Episode> = drawn.iter().map(|index| &replay.episodes()[*index]).collect();
-    let longest = episodes.iter().map(|episode| episode.states()).max().unwrap_or(0);
+    let longest = drawn.iter().map(states).max().unwrap_or(0);
     let steps = sample.steps.min(longest);
     let sizes = WindowShape::of(environment.spec());
     let shape = WindowShape { windows: drawn.len(), steps, ..sizes };
     let mut windows = Windows::new(shape);
     windows.features.clear();
     // Every state of all windows, by episode and its number there.
-    let places: Vec<Option<(&Episode, usize)>> = if longest <= sample.steps {
-        padded(&episodes, steps).collect()
+    let places: Vec<Option<At>> = if longest <= sample.steps {
+        padded(drawn, steps).collect()
     } else {
-        stretches(&episodes, steps, generator)
+        stretches(drawn, steps, generator)
     };
-    let mut writer =
-        Writer { environment, shaping: sample.shaping, windows, seen: Default::default() };
+    let (shaping, seen) = (sample.shaping, Observation::default());
+    let mut writer = Writer { environment, replay, shaping, windows, seen };
     for (state, place) in places.into_iter().enumerate() {
         match place {
             Some(place) => writer.write(state, place),
@@ -236,25 +166,19 @@ pub fn cut_windows(
 }
 
 /// Every episode as a window of its own, padded to the same length.
-fn padded<'a>(
-    episodes: &'a [&'a Episode],
-    steps: usize,
-) -> impl Iterator<Item = Option<(&'a Episode, usize)>> {
+fn padded(episodes: &[Episode], steps: usize) -> impl Iterator<Item = Option<At>> {
     episodes.iter().flat_map(move |episode| {
-        (0..steps).map(|at| (at < episode.states()).then_some((*episode, at)))
+        (0..steps).map(|at| (at < states(episode)).then_some((*episode, at)))
     })
 }
 
 /// One window from each of as many equal stretches of all states.
-fn stretches<'a>(
-    episodes: &[&'a Episode],
-    steps: usize,
-    generator: &mut Generator,
-) -> Vec<Option<(&'a Episode, usize)>> {
-    let all: Vec<(&Episode, usize)> = episodes
-        .iter()
-        .flat_map(|episode| (0..episode.states()).map(|at| (*episode, at)))
-        .collect();
+fn stretches(episodes: &[Episode], steps: usize, generator: &mut Generator) -> Vec<Option<At>> {
+    let of = |episode: &Episode| {
+        let episode = *episode;
+        (0..states(&episode)).map(move |at| (episode, at))
+    };
+    let all: Vec<At> = episodes.iter().flat_map(of).collect();
     let count = episodes.len();
     // The starts from which a whole window fits.
     let starts = all.len() - steps + 1;
@@ -272,6 +196,7 @@ fn stretches<'a>(
 /// Windows that are being written, state by state.
 struct Writer<'a> {
     environment: &'a dyn Environment,
+    replay: &'a Replay,
     shaping: Shaping,
     windows: Windows,
     seen: Observation,
@@ -279,99 +204,96 @@ struct Writer<'a> {
 
 impl Writer<'_> {
     /// Writes a state of a window from one of an episode. Rows of features are added in order.
-    fn write(&mut self, state: usize, (episode, at): (&Episode, usize)) {
-        self.environment.observe(episode.state(at), 0, EntitySet::MAX, &mut self.seen);
-        self.write_entities(state, (episode, at));
-        self.write_agents(state, (episode, at));
-        let Self { environment, windows, seen, .. } = self;
-        windows.decision[state] = episode.decision(at);
-        windows.added[state] = episode.added;
+    fn write(&mut self, state: usize, (episode, at): At) {
+        let place = episode.first.after(at);
+        self.environment.observe(self.replay.state(place), 0, EntitySet::MAX, &mut self.seen);
+        self.write_entities(state, place);
+        self.write_agents(state, place, (at > 0).then(|| episode.first.after(at - 1)));
+        let Self { environment, replay, windows, seen, .. } = self;
+        windows.decision[state] = replay.steps.note(place).decision;
+        windows.added[state] = replay.steps.note(episode.first).added;
         let tasks = windows.shape.tasks;
         for task in 0..tasks {
             let open = seen.open_tasks >> task & 1 == 1;
             windows.open[state * tasks + task] = open;
             windows.task_unfinished[state * tasks + task] = open;
         }
-        if at < episode.steps() {
-            environment.observe(episode.state(at + 1), 0, 0, seen);
-            self.write_outcome(state, (episode, at));
+        if at < episode.steps {
+            environment.observe(replay.state(place.after(1)), 0, 0, seen);
+            self.write_outcome(state, place);
         } else {
             windows.task_terminated[state * tasks..][..tasks].fill(true);
         }
     }
 
     /// Features, existence and subtasks of all entities.
-    fn write_entities(&mut self, state: usize, (episode, at): (&Episode, usize)) {
-        let Self { windows, seen, .. } = self;
-        let first = state * windows.shape.entities;
+    fn write_entities(&mut self, state: usize, place: Place) {
+        let Self { replay, windows, seen, .. } = self;
+        let (first, allocation) = (state * windows.shape.entities, replay.allocation(place));
         for entity in 0..windows.shape.entities {
             let exists = seen.present >> entity & 1 == 1;
             windows.present[first + entity] = exists;
             if exists {
                 windows.features.push_row(&seen.rows, seen.row_of(entity));
-                windows.entity_task[first + entity] = match episode.allocation(at).get(entity) {
-                    Some(task) => *task,
-                    None => seen.task_of(entity),
-                };
+                let allocated = allocation.get(entity).copied();
+                windows.entity_task[first + entity] =
+                    allocated.unwrap_or_else(|| seen.task_of(entity));
             }
             windows.features.end_row();
         }
     }
 
     /// What the agents that exist observe, can do and did.
-    fn write_agents(&mut self, state: usize, (episode, at): (&Episode, usize)) {
-        let Self { windows, seen, .. } = self;
-        let WindowShape { agents, entities, actions, .. } = windows.shape;
+    fn write_agents(&mut self, state: usize, place: Place, before: Option<Place>) {
+        let Self { replay, windows, seen, .. } = self;
+        let WindowShape { agents, entities, .. } = windows.shape;
         let present = &windows.present[state * entities..][..entities];
+        let did = |place: Place, agent: usize| replay.steps.actions(place)[agent] as u8;
         for agent in 0..seen.agents() {
             let own = state * agents + agent;
             // As they act and are deployed: of what shares their subtask agents see all that exists.
             windows.observable[own * entities..][..entities].copy_from_slice(present);
-            let codes = &mut windows.available[own * actions..][..actions];
-            for (action, code) in codes.iter_mut().enumerate() {
-                *code = (seen.available[agent] >> action & 1) as u16;
-            }
-            windows.actions[own] = episode.actions(at)[agent];
-            let before = at.checked_sub(1);
-            windows.last_actions[own] = before.map_or(NO_ACTION, |at| episode.actions(at)[agent]);
+            windows.available[own] = seen.available[agent];
+            windows.actions[own] = did(place, agent);
+            windows.last_actions[own] = before.map_or(NO_ACTION, |before| did(before, agent));
             windows.last_allocation[own] =
-                before.map_or(NO_TASK, |at| episode.allocation(at)[agent]);
+                before.map_or(NO_TASK, |before| replay.allocation(before)[agent]);
         }
     }
 
     /// What the step from a state came to; the state behind it is seen.
-    fn write_outcome(&mut self, state: usize, (episode, at): (&Episode, usize)) {
-        let Self { windows, seen, shaping, .. } = self;
+    fn write_outcome(&mut self, state: usize, place: Place) {
+        let Self { replay, windows, seen, shaping, .. } = self;
         let WindowShape { steps, tasks, .. } = windows.shape;
         let own_tasks = state * tasks..(state + 1) * tasks;
         for (task, terminated) in windows.task_terminated[own_tasks.clone()].iter_mut().enumerate()
         {
             *terminated = seen.open_tasks >> task & 1 == 0;
         }
-        windows.reward[state] = episode.reward(at);
-        windows.task_reward[own_tasks].copy_from_slice(episode.task_reward(at));
-        let last = at + 1 == episode.steps();
-        windows.reset[state] = last;
-        windows.terminated[state] = last && episode.terminated;
+        let (rewards, end) = (replay.steps.rewards(place), replay.steps.end(place));
+        windows.reward[state] = rewards.team;
+        windows.task_reward[own_tasks].copy_from_slice(rewards.tasks);
+        windows.reset[state] = end != End::Open;
+        windows.terminated[state] = end == End::Over;
         windows.has_transition[state] = state % steps + 1 < steps;
         if shaping.scale != 0.0 {
-            self.shape(state, (episode, at));
+            self.shape(state, place);
         }
     }
 
     /// Adds to the rewards of a step what its end is nearer than its beginning.
-    fn shape(&mut self, state: usize, (episode, at): (&Episode, usize)) {
-        let Self { environment, windows, shaping: Shaping { scale, discount }, .. } = self;
+    fn shape(&mut self, state: usize, place: Place) {
+        let Self { environment, replay, windows, shaping: Shaping { scale, discount }, .. } = self;
         let WindowShape { agents, entities, tasks, .. } = windows.shape;
         let gain = |team: AgentSet, task: Option<usize>, ends: bool| {
-            let potential = |at| environment.potential(episode.state(at), *scale, team, task);
-            let before = potential(at);
-            if ends { -before } else { *discount * potential(at + 1) - before }
+            let potential = |place| environment.potential(replay.state(place), *scale, team, task);
+            let before = potential(place);
+            if ends { -before } else { *discount * potential(place.after(1)) - before }
         };
         let present = &windows.present[state * entities..][..agents];
         let team = |task: Option<usize>| {
             let works = |agent: &usize| {
-                let allocated = usize::from(episode.allocation(at)[*agent]);
+                let allocated = usize::from(replay.allocation(place)[*agent]);
                 present[*agent] && task.is_none_or(|task| allocated == task)
             };
             (0..agents).filter(works).fold(0, |team, agent| team | 1 << agent)

@@ -1,8 +1,8 @@
 use rand_core::SeedableRng;
 use sortie_envs::random::member;
-use sortie_envs::{Shape, Split, members};
+use sortie_envs::{Split, Step, members};
 
-use super::{Moment, *};
+use super::*;
 
 const SAMPLE: SampleShape =
     SampleShape { windows: 4, steps: 8, shaping: Shaping { scale: 0.0, discount: 0.0 } };
@@ -11,53 +11,63 @@ fn city() -> Box<dyn Environment> {
     sortie_envs::open("save-the-city/2-5a_2-5b", Split::Train, 1, &Default::default()).unwrap()
 }
 
-/// An episode of so many steps, the number of the next of which is its reward; actions are random, agents work for
+/// Keeps an episode of so many steps, the number of the next of which is its reward; actions are random, agents work for
 /// one of two subtasks in turns.
-fn episode(number: u64, steps: usize) -> Episode {
+fn keep(replay: &mut Replay, number: u64, steps: usize) {
     let mut city = city();
     let Shape { agents, tasks, .. } = city.spec().shape;
     let mut draws = sortie_envs::random::generator(number);
     city.reset(0, &mut draws);
     let mut seen = Observation::new(&city.spec().shape);
-    let mut episode = Episode::begin(agents, tasks, 1_000 * number);
-    for step in 0..=steps {
-        let mut state = Vec::new();
-        city.save(0, &mut state);
+    let [mut state, mut next] = [Vec::new(), Vec::new()];
+    city.save(0, &mut state);
+    for step in 0..steps {
         city.observe(&state, 0, 0, &mut seen);
         let mut draw = |available: &u64| member(&mut draws, (*available).into()).unwrap() as u16;
         let actions: Vec<u16> = seen.available.iter().map(&mut draw).collect();
-        let allocation = vec![step as u8 % 2; agents];
-        let decision = step % 2 == 0;
-        let state = &state;
-        let moment = Moment { state, allocation: &allocation, decision, actions: &actions };
-        if step == steps {
-            episode.end(moment, number.is_multiple_of(2));
-        } else {
-            episode.push_state(moment);
-            city.step(0, &actions, &mut draws).unwrap();
-            let rewards: Vec<f64> = (0..tasks).map(|task| (step * tasks + task) as f64).collect();
-            episode.push_rewards((step + 1) as f64, &rewards);
-        }
+        city.step(0, &actions, &mut draws).unwrap();
+        next.clear();
+        city.save(0, &mut next);
+        let (last, is_over) = (step + 1 == steps, number.is_multiple_of(2));
+        let rewards: Vec<f64> = (0..tasks).map(|task| (step * tasks + task) as f64).collect();
+        let transition = Transition {
+            environment: &*city,
+            instance: 0,
+            state: &state,
+            actions: &actions,
+            step: Step {
+                reward: (step + 1) as f64,
+                terminated: last && is_over,
+                timed_out: last && !is_over,
+                ..Step::default()
+            },
+            task_rewards: &rewards,
+            agent_rewards: &[],
+            next: &next,
+        };
+        let note = Note { decision: step.is_multiple_of(2), added: 1_000 * number };
+        replay.push(&transition, &vec![step as u8 % 2; agents], note);
+        std::mem::swap(&mut state, &mut next);
     }
-    episode
 }
 
 fn replay(lengths: &[usize]) -> Replay {
-    let mut replay = Replay::new(100);
-    (1..).zip(lengths).for_each(|(number, steps)| replay.push(episode(number, *steps)));
+    let mut replay = Replay::new(100, 1, &city().spec().shape);
+    (1..).zip(lengths).for_each(|(number, steps)| keep(&mut replay, number, *steps));
     replay
 }
 
 fn cut(replay: &Replay, drawn: &[usize], sample: SampleShape, seed: u64) -> Windows {
-    cut_windows(&*city(), replay, drawn, sample, &mut Generator::seed_from_u64(seed))
+    let drawn: Vec<Episode> = drawn.iter().map(|index| replay.episodes()[*index]).collect();
+    cut_windows(&*city(), replay, &drawn, sample, &mut Generator::seed_from_u64(seed))
 }
 
 /// The episode that a state of a window is of, and its number there.
-fn origin<'a>(replay: &'a Replay, windows: &Windows, state: usize) -> (&'a Episode, usize) {
-    let mut all = replay.episodes().iter();
-    let episode = all.find(|episode| episode.added == windows.added[state]).unwrap();
+fn origin(replay: &Replay, windows: &Windows, state: usize) -> (Episode, usize) {
+    let is_of = |it: &Episode| replay.steps.note(it.first).added == windows.added[state];
+    let episode = replay.episodes().into_iter().find(is_of).unwrap();
     match windows.reward[state] {
-        0.0 => (episode, episode.steps()),
+        0.0 => (episode, episode.steps),
         reward => (episode, reward as usize - 1),
     }
 }
@@ -90,52 +100,52 @@ fn short_episodes_are_padded_whole() {
 fn states_of_windows_show_what_their_episodes_do() {
     let (city, replay) = (city(), replay(&[9, 12, 50, 17]));
     let windows = cut(&replay, &[2, 0, 3, 1], SampleShape { steps: 40, ..SAMPLE }, 5);
-    let WindowShape { agents, entities, tasks, actions, features, .. } = windows.shape;
+    let WindowShape { agents, entities, tasks, features, .. } = windows.shape;
     let [mut now, mut next] = [(); 2].map(|()| Observation::new(&city.spec().shape));
     let mut finished = 0;
     for state in 0..windows.shape.states() {
         let (episode, at) = origin(&replay, &windows, state);
-        city.observe(episode.state(at), 0, EntitySet::MAX, &mut now);
+        let place = episode.first.after(at);
+        let did = |place, agent: usize| replay.steps.actions(place)[agent] as u8;
+        city.observe(replay.state(place), 0, EntitySet::MAX, &mut now);
         for entity in 0..entities {
-            let place = state * entities + entity;
+            let own = state * entities + entity;
             let exists = now.present >> entity & 1 == 1;
-            assert_eq!(windows.present[place], exists);
+            assert_eq!(windows.present[own], exists);
             let [mut row, mut shown] = [(); 2].map(|()| vec![0.0; features]);
-            windows.features.write_dense(place, &mut row);
+            windows.features.write_dense(own, &mut row);
             if exists {
                 now.rows.write_dense(now.row_of(entity), &mut shown);
             }
             assert_eq!(row, shown);
             let task = match entity.checked_sub(agents) {
                 _ if !exists => NO_TASK,
-                None => episode.allocation(at)[entity],
+                None => replay.allocation(place)[entity],
                 Some(task) => task as u8,
             };
-            assert_eq!(windows.entity_task[place], task);
+            assert_eq!(windows.entity_task[own], task);
         }
         for agent in members(now.present & ((1 << agents) - 1)) {
             let own = state * agents + agent;
             let observable = &windows.observable[own * entities..][..entities];
             assert!((0..entities).all(|e| observable[e] == (now.present >> e & 1 == 1)));
-            let codes = &windows.available[own * actions..][..actions];
-            let available = |action: usize| now.available[agent] >> action & 1;
-            assert!((0..actions).all(|action| u64::from(codes[action]) == available(action)));
-            let before = at.checked_sub(1);
+            assert_eq!(windows.available[own], now.available[agent]);
+            let before = at.checked_sub(1).map(|before| episode.first.after(before));
             let (last, allocated) = before.map_or((NO_ACTION, NO_TASK), |before| {
-                (episode.actions(before)[agent], episode.allocation(before)[agent])
+                (did(before, agent), replay.allocation(before)[agent])
             });
-            assert_eq!(windows.actions[own], episode.actions(at)[agent]);
+            assert_eq!(windows.actions[own], did(place, agent));
             assert_eq!(
                 (windows.last_actions[own], windows.last_allocation[own]),
                 (last, allocated)
             );
         }
-        assert_eq!(windows.decision[state], episode.decision(at));
+        assert_eq!(windows.decision[state], replay.steps.note(place).decision);
         next.open_tasks = 0;
-        if at < episode.steps() {
-            city.observe(episode.state(at + 1), 0, 0, &mut next);
+        if at < episode.steps {
+            city.observe(replay.state(place.after(1)), 0, 0, &mut next);
             let earned = &windows.task_reward[state * tasks..][..tasks];
-            assert_eq!(earned, episode.task_reward(at));
+            assert_eq!(earned, replay.steps.rewards(place).tasks);
         }
         for task in 0..tasks {
             let place = state * tasks + task;
@@ -145,7 +155,7 @@ fn states_of_windows_show_what_their_episodes_do() {
                 (open(&now), open(&now))
             );
             assert_eq!(windows.task_terminated[place], !open(&next));
-            finished += usize::from(at < episode.steps() && open(&now) && !open(&next));
+            finished += usize::from(at < episode.steps && open(&now) && !open(&next));
         }
     }
     assert!(finished > 1, "{finished}");
@@ -154,7 +164,7 @@ fn states_of_windows_show_what_their_episodes_do() {
 #[test]
 fn windows_come_from_every_stretch_and_know_what_was_before() {
     let replay = replay(&[9, 12, 30, 17]);
-    let total: usize = replay.episodes().iter().map(Episode::states).sum();
+    let total: usize = replay.episodes().iter().map(states).sum();
     let mut reached = [0; 5];
     for seed in 0..50 {
         let windows = cut(&replay, &[0, 1, 2, 3], SAMPLE, seed);
@@ -167,14 +177,16 @@ fn windows_come_from_every_stretch_and_know_what_was_before() {
             let begins = windows.last_actions[state * windows.shape.agents] == NO_ACTION;
             let before = windows.last_allocation[state * windows.shape.agents];
             let now = windows.allocation(state)[0];
-            assert_eq!(before, if begins { NO_TASK } else { 1 - now });
+            // The state that an episode ends in keeps the allocation that it came with.
+            let held = if final_state { now } else { 1 - now };
+            assert_eq!(before, if begins { NO_TASK } else { held });
             if state % 8 > 0 && begins {
                 assert!(!windows.has_transition[state - 1], "leads over an episode's end");
             }
         }
     }
     for (episode, reached) in replay.episodes().iter().zip(&reached[1..]) {
-        let expected = 50.0 * 32.0 * episode.states() as f64 / total as f64;
+        let expected = 50.0 * 32.0 * states(episode) as f64 / total as f64;
         assert!((0.6..1.4).contains(&(f64::from(*reached) / expected)), "{reached} {expected}");
     }
 }
@@ -183,12 +195,14 @@ fn windows_come_from_every_stretch_and_know_what_was_before() {
 fn shaping_pays_for_coming_nearer_and_takes_it_back_at_an_end() {
     let (city, replay) = (city(), replay(&[12, 12]));
     let (scale, steps) = (0.5, 12);
-    for (index, episode) in replay.episodes().iter().enumerate() {
+    for (index, Episode { first, .. }) in replay.episodes().into_iter().enumerate() {
         let agents = city.spec().shape.agents;
         let mut seen = Observation::new(&city.spec().shape);
-        city.observe(episode.state(0), 0, 0, &mut seen);
+        city.observe(replay.state(first), 0, 0, &mut seen);
         let everybody = (1 << seen.agents()) - 1;
-        let potential = |at, task| city.potential(episode.state(at), scale, everybody, task);
+        let potential =
+            |at, task| city.potential(replay.state(first.after(at)), scale, everybody, task);
+        let rewards = |step| replay.steps.rewards(first.after(step));
         let shaped = |discount| {
             let shaping = Shaping { scale, discount };
             cut(&replay, &[index], SampleShape { steps: 20, shaping, ..SAMPLE }, 4)
@@ -196,7 +210,7 @@ fn shaping_pays_for_coming_nearer_and_takes_it_back_at_an_end() {
         // Without discount all that was added for the whole team is what its last state has and its first has not;
         // what comes after a true end is worth nothing.
         let windows = shaped(1.0);
-        let plain: f32 = (0..steps).map(|step| episode.reward(step)).sum();
+        let plain: f32 = (0..steps).map(|step| rewards(step).team).sum();
         let added = windows.reward[..steps].iter().sum::<f32>() - plain;
         assert_eq!(windows.terminated[steps - 1], index == 1);
         let later = if index == 1 { 0.0 } else { potential(steps, None) };
@@ -209,11 +223,12 @@ fn shaping_pays_for_coming_nearer_and_takes_it_back_at_an_end() {
             windows.task_reward.chunks(windows.shape.tasks).take(steps).enumerate()
         {
             let task = usize::from(windows.allocation(step)[0]);
-            assert_eq!(windows.allocation(step)[..agents][0], episode.allocation(step)[0]);
+            let allocation = replay.allocation(first.after(step));
+            assert_eq!(windows.allocation(step)[..agents][0], allocation[0]);
             let at = |step| potential(step, Some(task));
             let ends = windows.task_terminated[step * windows.shape.tasks + task];
             let later = if ends { 0.0 } else { 0.9 * at(step + 1) };
-            let mut want = episode.task_reward(step).to_vec();
+            let mut want = rewards(step).tasks.to_vec();
             want[task] += later - at(step);
             let near = |(a, b): (&f32, &f32)| (a - b).abs() < 1e-4;
             assert!(earned.iter().zip(&want).all(near), "{step}: {earned:?} {want:?}");
@@ -225,19 +240,35 @@ fn shaping_pays_for_coming_nearer_and_takes_it_back_at_an_end() {
 fn episodes_are_drawn_once_and_by_condition() {
     let replay = replay(&[1; 10]);
     let mut generator = Generator::seed_from_u64(3);
-    let mut drawn = draw_episodes(&replay, 5, &mut generator, |e| e.added > 5_000).unwrap();
-    drawn.sort_unstable();
-    assert_eq!(drawn, [5, 6, 7, 8, 9]);
-    assert_eq!(draw_episodes(&replay, 6, &mut generator, |e| e.added > 5_000), None);
+    let late = |episode: Episode| replay.steps.note(episode.first).added > 5_000;
+    let mut drawn = draw_episodes(&replay, 5, &mut generator, late).unwrap();
+    drawn.sort_unstable_by_key(|episode| episode.first);
+    assert_eq!(drawn, replay.episodes()[5..]);
+    assert_eq!(draw_episodes(&replay, 6, &mut generator, late), None);
 }
 
+/// Whichever instance was first to end its episode.
 #[test]
-fn the_oldest_episode_makes_room() {
-    let mut replay = Replay::new(3);
-    for added in 0..8 {
-        replay.push(Episode { added, ..Episode::default() });
+fn rounds_stand_one_behind_the_other_and_the_oldest_make_room() {
+    let (city, mut replay) = (city(), Replay::new(4, 2, &city().spec().shape));
+    let Shape { agents, .. } = city.spec().shape;
+    for (round, order) in [[0, 1], [1, 0], [1, 0]].into_iter().enumerate() {
+        for instance in order {
+            let transition = Transition {
+                environment: &*city,
+                instance,
+                state: &[],
+                actions: &vec![0; agents],
+                step: Step { terminated: true, ..Step::default() },
+                task_rewards: &[],
+                agent_rewards: &[],
+                next: &[],
+            };
+            let note = Note { decision: true, added: round as u64 };
+            replay.push(&transition, &vec![0; agents], note);
+        }
     }
-    let mut kept: Vec<u64> = replay.episodes().iter().map(|episode| episode.added).collect();
-    kept.sort_unstable();
-    assert_eq!(kept, [5, 6, 7]);
+    let of = |episode: Episode| (replay.steps.note(episode.first).added, episode.first.instance());
+    let kept: Vec<_> = replay.episodes().into_iter().map(of).collect();
+    assert_eq!(kept, [(1, 0), (1, 1), (2, 0), (2, 1)]);
 }

@@ -1,5 +1,6 @@
 use sortie_envs::random::chance;
-use sortie_envs::{EntitySet, Observation, Shape, Split};
+use sortie_envs::{EntitySet, Observation, Shape, Split, Step};
+use sortie_learn::Transition;
 use sortie_learn::random::{Purpose, generator};
 use sortie_nn::gradient_check::assert_gradient;
 use sortie_nn::random::Generator;
@@ -10,7 +11,7 @@ use crate::alma::coach::{Advice, Coach, seen_input};
 use crate::alma::windows::low_level::tests::{SIZES, config, draws, random_windows};
 use crate::alma::windows::low_level::{LowLevel, LowLevelConfig};
 use crate::alma::windows::{
-    Episode, Moment, NO_TASK, Replay, SampleShape, Shaping, WindowShape, Windows, cut_windows,
+    NO_TASK, Note, Replay, SampleShape, Shaping, WindowShape, Windows, cut_windows,
 };
 
 const SHAPE: CoachShape = CoachShape { features: 5, marks: 3, width: 8, heads: 2, strategy: 6 };
@@ -23,7 +24,7 @@ fn weights() -> Generator {
 /// action changes.
 fn decided(sizes: WindowShape) -> Windows {
     let mut windows = random_windows(sizes, 1);
-    windows.available.chunks_exact_mut(sizes.actions).for_each(|codes| codes[1..].fill(0));
+    windows.available.fill(1);
     let draw = &mut generator(5, Purpose::Rollout, 0);
     windows.decision.iter_mut().for_each(|decision| *decision = chance(draw, 0.3));
     windows
@@ -132,17 +133,20 @@ fn a_coach_sees_the_same_where_agents_play_and_where_they_learn() {
     world.save(0, &mut state);
     let mut seen = Observation::default();
     world.observe(&state, 0, EntitySet::MAX, &mut seen);
-    let mut episode = Episode::begin(agents, tasks, 0);
-    let (allocation, actions) = (vec![NO_TASK; agents], vec![0; agents]);
-    let first =
-        Moment { state: &state, allocation: &allocation, decision: true, actions: &actions };
-    episode.push_state(first);
-    episode.push_rewards(0.0, &[]);
-    episode.end(Moment { decision: false, ..first }, false);
-    let mut replay = Replay::new(1);
-    replay.push(episode);
+    let mut replay = Replay::new(1, 1, &world.spec().shape);
+    let transition = Transition {
+        environment: &*world,
+        instance: 0,
+        state: &state,
+        actions: &vec![0; agents],
+        step: Step { timed_out: true, ..Step::default() },
+        task_rewards: &[],
+        agent_rewards: &[],
+        next: &state,
+    };
+    replay.push(&transition, &vec![NO_TASK; agents], Note { decision: true, added: 0 });
     let sample = SampleShape { windows: 1, steps: 2, shaping: Shaping::default() };
-    let windows = cut_windows(&*world, &replay, &[0], sample, &mut draws());
+    let windows = cut_windows(&*world, &replay, &replay.episodes(), sample, &mut draws());
 
     let shape = CoachShape { features, marks: tasks, ..SHAPE };
     let order = TaskOrder::shuffled(tasks, &mut draws());

@@ -1,6 +1,7 @@
-use sortie_envs::{ActionSet, Random};
+use sortie_envs::{ActionSet, EntitySet, Random};
 use sortie_learn::learner::{Learner, Rules};
 use sortie_learn::run::Rates;
+use sortie_learn::subtasks::{NO_ACTION, Place};
 use sortie_learn::{Act, Method, Now};
 use sortie_nn::tape::Parameters;
 
@@ -109,10 +110,16 @@ fn samples_reach_no_further_than_their_team_and_their_subtask() {
 #[test]
 fn instances_of_a_checkpoint_go_on() {
     let method = played(config(200), 7);
-    let written = serde_json::to_string(&method.rollout.instances).unwrap();
-    let read: Vec<Instance> = serde_json::from_str(&written).unwrap();
-    let blank = |instance: &Instance| Instance { seen: Observation::default(), ..instance.clone() };
-    assert_eq!(read, method.rollout.instances.iter().map(blank).collect::<Vec<_>>());
+    let Records { episodes, places, .. } = &method;
+    let written = serde_json::to_string(episodes).unwrap();
+    assert_eq!(&serde_json::from_str::<Vec<Decisions>>(&written).unwrap(), episodes);
+    for instance in 0..3 {
+        let written = serde_json::to_string(places.of(instance)).unwrap();
+        let read: Place = serde_json::from_str(&written).unwrap();
+        let mut want = places.of(instance).clone();
+        want.seen = Observation::default();
+        assert_eq!(read, want);
+    }
 }
 
 /// A method at play, and what was done by whom: instance, the actions that were available, the one that was taken.
