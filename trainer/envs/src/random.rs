@@ -49,17 +49,6 @@ pub fn member(rng: &mut Random, set: EntitySet) -> Option<usize> {
     members(set).nth(chosen)
 }
 
-/// Draws a place of a list by its weight there, of which one at least is positive.
-pub fn by_weight(rng: &mut Random, weights: &[f64]) -> usize {
-    let mut left = unit(rng) * weights.iter().sum::<f64>();
-    let drawn = weights.iter().position(|weight| {
-        left -= weight;
-        left < 0.0
-    });
-    // Rounding may leave something of the last weight.
-    drawn.or_else(|| weights.iter().rposition(|weight| *weight > 0.0)).unwrap_or(0)
-}
-
 /// Puts a list into a random order (Fisher and Yates 1938).
 pub fn shuffle<T>(rng: &mut Random, list: &mut [T]) {
     (1..list.len()).rev().for_each(|last| list.swap(last, below(rng, last + 1)));

@@ -1,5 +1,7 @@
 //! Seeded generators, one for each purpose of a run.
 
+use sortie_envs::Random;
+use sortie_envs::random::unit;
 use sortie_nn::random::{Generator, stream};
 
 /// What random numbers are drawn for. Each purpose has its own stream, so that none shifts another.
@@ -23,6 +25,17 @@ pub enum Purpose {
 /// The generator of one purpose; `index` tells several of them apart.
 pub fn generator(seed: u64, purpose: Purpose, index: u64) -> Generator {
     stream(seed, purpose as u64, index)
+}
+
+/// Draws a place of a list by its weight there, of which one at least is positive.
+pub fn by_weight(rng: &mut Random, weights: &[f64]) -> usize {
+    let mut left = unit(rng) * weights.iter().sum::<f64>();
+    let drawn = weights.iter().position(|weight| {
+        left -= weight;
+        left < 0.0
+    });
+    // Rounding may leave something of the last weight.
+    drawn.or_else(|| weights.iter().rposition(|weight| *weight > 0.0)).unwrap_or(0)
 }
 
 #[cfg(test)]

@@ -1,9 +1,10 @@
 //! MA-Exp as a [`Method`].
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::random::{below, by_weight, chance, unit};
+use sortie_envs::random::{below, chance, unit};
 use sortie_envs::{EntitySet, Environment, Observation, Random};
 use sortie_learn::export::DeployedAgents;
+use sortie_learn::random::by_weight;
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::{Act, Head, LearnError, Method, Now, Scene, Scenes, State, Thought, Transition};

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::Random;
-use sortie_envs::random::{below, by_weight};
+use sortie_envs::random::below;
+use sortie_learn::random::by_weight;
 use sortie_nn::random::normals;
 
 use super::MetaConfig;

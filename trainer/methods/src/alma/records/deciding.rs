@@ -1,8 +1,9 @@
 //! Who works where while learning: allocations of an episode, explored, cut into segments.
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::random::{below, by_weight, chance, member};
+use sortie_envs::random::{below, chance, member};
 use sortie_envs::{Environment, Observation, Spec, Step, members};
+use sortie_learn::random::by_weight;
 use sortie_learn::subtasks::{NO_ACTION, Place, RuleAllocator};
 use sortie_learn::{LearnError, Transition};
 use sortie_nn::random::Generator;
