@@ -123,14 +123,20 @@ impl Contents {
         Ok(Self { path, heard, facts, format, runners, engines, frames, torn_at, attached })
     }
 
-    /// Whether what an answer was given to was heard of a running team.
+    /// Whether what an answer was given to was heard of a running team: its frame, its allocation, and the frame of that, which
+    /// whoever begins to listen may have missed.
     pub(super) fn has_what_it_saw(&self, answer: &ActionMsg) -> bool {
+        let heard = || self.heard.iter().flatten();
+        let has_frame = |tick: u64| {
+            heard().any(|told| matches!(told, Told::Frame(it) if it.header.tick == tick))
+        };
         let order = (answer.alloc_term, answer.alloc_epoch);
-        let heard = self.heard.iter().flatten();
-        let is_frame =
-            |told: &Told| matches!(told, Told::Frame(it) if it.header.tick == answer.tick);
-        let is_its = |told: &Told| matches!(told, Told::Allocation(it) if it.order() == order);
-        heard.clone().any(is_frame) && (order == (0, 0) || heard.clone().any(is_its))
+        let allocation = heard().find_map(|told| match told {
+            Told::Allocation(it) if it.order() == order => Some(it),
+            _ => None,
+        });
+        let has_allocation = allocation.is_some_and(|it| has_frame(it.tick));
+        has_frame(answer.tick) && (order == (0, 0) || has_allocation)
     }
 
     /// What a running team is, which tells the rest itself.
