@@ -21,6 +21,8 @@ use crate::session::{Session, nonce};
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Longest wait in the socket, so that the end is noticed.
 const HEARTBEAT: Duration = Duration::from_millis(100);
+/// How often last words are said: of a tenth lost, one in ten million times none of them arrives.
+const LAST_WORDS: usize = 7;
 /// Most bytes that wait to be read; what is older was of ticks that are over.
 const WAITING: usize = 1 << 20;
 
@@ -103,6 +105,15 @@ impl Home {
 
     /// Says what was written since, in one datagram. To nobody, where nobody is there.
     pub fn send(&self) {
+        self.send_copies(self.shared.copies);
+    }
+
+    /// The same for the last words of a team: so often that whoever is there hears them.
+    pub fn send_last(&self) {
+        self.send_copies(LAST_WORDS);
+    }
+
+    fn send_copies(&self, copies: usize) {
         let said = self.outgoing.take();
         if said.is_empty() || said.len() > LONGEST_SAID {
             return;
@@ -111,7 +122,7 @@ impl Home {
         let Some(Runner { session, address, .. }) = &mut state.runner else { return };
         let (head, address) = (session.next(Kind::Shown), *address);
         drop(state);
-        self.shared.say(head, &said, address);
+        self.shared.say(head, &said, address, copies);
     }
 
     /// How long ago the runner was heard last; none: never.
@@ -135,9 +146,9 @@ impl Shared {
     }
 
     /// What cannot be sent is lost, as on the way.
-    fn say(&self, head: Head, said: &[u8], address: SocketAddr) {
+    fn say(&self, head: Head, said: &[u8], address: SocketAddr, copies: usize) {
         let datagram = seal(&self.key, head, said);
-        for _ in 0..self.copies {
+        for _ in 0..copies {
             let _ = self.socket.send_to(&datagram, address);
         }
     }
@@ -173,7 +184,7 @@ impl Shared {
             Err(reason) => (Kind::Refusal, Ok(reason.into_bytes())),
         };
         if let Ok(words) = words {
-            self.say(Head { kind, ..head }, &words, from);
+            self.say(Head { kind, ..head }, &words, from, self.copies);
         }
     }
 }

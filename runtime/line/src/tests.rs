@@ -65,6 +65,9 @@ fn what_is_said_arrives_in_one_piece() {
     port.write_all(b"shown").unwrap();
     home.send();
     assert_eq!(read(&mut line), b"shown");
+    port.write_all(b"the end").unwrap();
+    home.send_last();
+    assert_eq!(read(&mut line), b"the end");
     assert!(home.silence().is_some_and(|silence| silence < Duration::from_secs(1)));
 }
 

@@ -134,11 +134,14 @@ impl Process for StandIn<'_> {
     fn poll(&mut self, link: &mut IoxAgent) -> Result<Poll, Error> {
         let mut overheard = Overheard { link, newest: None };
         self.relay.turn(&mut overheard)?;
-        self.home.send();
         let newest = overheard.newest;
         self.tick = newest.map_or(self.tick, |header| header.tick);
-        let is_over = newest.is_some_and(|header| header.has(FrameHeader::SHUTDOWN));
-        Ok(if is_over { Poll::Ended } else { Poll::Wait { until_ns: u64::MAX } })
+        if newest.is_some_and(|header| header.has(FrameHeader::SHUTDOWN)) {
+            self.home.send_last();
+            return Ok(Poll::Ended);
+        }
+        self.home.send();
+        Ok(Poll::Wait { until_ns: u64::MAX })
     }
 
     fn leaves_loop(&self) -> bool {
