@@ -11,8 +11,8 @@ use sortie_core::Policy;
 use sortie_core::link::{Bell, Clock, FrameBlock, LinkError, Serial, packet_bytes};
 use sortie_core::roles::{Identity, Poll, RunnerOptions, RunnerRole};
 use sortie_core::wire::{ABI, FrameFormat};
-use sortie_ipc::{BUILD, DomainFacts, Error, HostProcess, LineSettings, Stop};
-use sortie_line::{Away, Key, KeyError, Offer, Rest, Taken};
+use sortie_ipc::{BUILD, DomainFacts, Error, HostProcess, Stop};
+use sortie_line::{Away, Key, KeyError, LineSettings, Offer, Rest, Taken};
 
 use crate::deployment::{domain_contract, model_id};
 use crate::failure::{Exit, Failure, Outcome};
@@ -96,13 +96,9 @@ impl LineArguments {
         self.key()
     }
 
-    fn copies(&self) -> usize {
-        if self.twice { 2 } else { 1 }
-    }
-
-    /// The team's end, at this address.
+    /// Of the line to this address, or of the end that listens there.
     pub(crate) fn settings(&self, address: SocketAddr) -> Result<LineSettings, Failure> {
-        Ok(LineSettings { address, key: self.key()?, copies: self.copies() })
+        Ok(LineSettings { address, key: self.key()?, copies: if self.twice { 2 } else { 1 } })
     }
 
     /// As flags for another process.
@@ -169,8 +165,7 @@ fn connect(
     stop: &Stop,
 ) -> Result<Taken, Failure> {
     let JoinArguments { agents, line, .. } = arguments;
-    let (key, copies) = (line.key()?, line.copies());
-    let taken = Away::connect(address, key, copies, offer, patience, &|| stop.is_set());
+    let taken = Away::connect(line.settings(address)?, offer, patience, &|| stop.is_set());
     let taken = taken.map_err(|error| Failure::from(Error::from(error)))?;
     let period = Duration::from_nanos(taken.team.period_ns);
     if !period.is_zero() && taken.round_trip > period.mul_f64(SHARE_OF_PERIOD) {

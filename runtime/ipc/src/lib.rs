@@ -40,7 +40,7 @@ pub use policy::{
 };
 pub use process_info::{BUILD, Candidate, HostProcess, NotAProcess, ProcessInfo};
 pub use processes::{
-    AllocatorProcess, Children, Fill, LineSettings, Loaded, LoadedModel, ProcessSettings, Registry,
+    AllocatorProcess, Children, Fill, Loaded, LoadedModel, ProcessSettings, Registry,
     RunnerProcess, SwappedAllocator, SwappedPolicy, WorldSettings, allocator_process, group_agents,
     runner_process, runner_process_with_heuristic, stand_in_process, world_process,
     world_process_with_fill,

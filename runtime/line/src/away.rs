@@ -14,10 +14,11 @@ use embedded_io::{ErrorType, Read, ReadReady, Write};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use sortie_core::link::{Clock, Processor};
 
-use crate::LineError;
-use crate::datagram::{Head, Kind, LONGEST, LONGEST_SAID, Offer, Team, Welcome, open, seal};
+use crate::datagram::{
+    Head, Kind, LONGEST, LONGEST_SAID, Offer, Session, Team, Welcome, nonce, open, seal, take,
+};
 use crate::key::Key;
-use crate::session::{Session, nonce};
+use crate::{LineError, LineSettings};
 
 /// Pause between two offers that nobody answers.
 const OFFER_EVERY: Duration = Duration::from_millis(100);
@@ -59,15 +60,12 @@ pub struct Taken {
 }
 
 impl Away {
-    /// Offers a runner to the team whose end listens at `address`, for as long as `patience` lasts and `is_stopped` does not say
-    /// so. Everything is said `copies` times.
+    /// Offers a runner to the team's end, for as long as `patience` lasts and `is_stopped` does not say so.
     ///
     /// # Errors
     /// Nobody answers, or the team does not take it.
     pub fn connect(
-        address: SocketAddr,
-        key: Key,
-        copies: usize,
+        LineSettings { address, key, copies }: LineSettings,
         offer: Offer,
         patience: Duration,
         is_stopped: &dyn Fn() -> bool,
@@ -253,10 +251,7 @@ impl ErrorType for Away {
 
 impl Read for Away {
     fn read(&mut self, bytes: &mut [u8]) -> Result<usize, Infallible> {
-        let mut end = self.0.borrow_mut();
-        let len = end.incoming.len().min(bytes.len());
-        bytes.iter_mut().zip(end.incoming.drain(..len)).for_each(|(to, from)| *to = from);
-        Ok(len)
+        Ok(take(&mut self.0.borrow_mut().incoming, bytes))
     }
 }
 

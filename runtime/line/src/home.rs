@@ -12,10 +12,11 @@ use std::time::{Duration, Instant};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 
-use crate::LineError;
-use crate::datagram::{Head, Kind, LONGEST, LONGEST_SAID, Offer, Team, Welcome, open, seal};
+use crate::datagram::{
+    Head, Kind, LONGEST, LONGEST_SAID, Offer, Session, Team, Welcome, nonce, open, seal, take,
+};
 use crate::key::Key;
-use crate::session::{Session, nonce};
+use crate::{LineError, LineSettings};
 
 /// A runner that has not been heard for so long gives way to another one.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -64,15 +65,12 @@ struct Runner {
 }
 
 impl Home {
-    /// Listens at `address` for a runner that `judge` takes; `wake` is called whenever there is something to read. Everything is
-    /// said `copies` times, for lines that lose much.
+    /// Listens for a runner that `judge` takes; `wake` is called whenever there is something to read.
     ///
     /// # Errors
     /// The address cannot be listened at.
     pub fn open(
-        address: SocketAddr,
-        key: Key,
-        copies: usize,
+        LineSettings { address, key, copies }: LineSettings,
         judge: impl Fn(&Offer) -> Result<Team, String> + Send + 'static,
         wake: impl Fn() + Send + 'static,
     ) -> Result<Self, LineError> {
@@ -237,10 +235,7 @@ impl ErrorType for HomePort {
 
 impl Read for HomePort {
     fn read(&mut self, bytes: &mut [u8]) -> Result<usize, Infallible> {
-        let mut state = self.shared.state();
-        let len = state.incoming.len().min(bytes.len());
-        bytes.iter_mut().zip(state.incoming.drain(..len)).for_each(|(to, from)| *to = from);
-        Ok(len)
+        Ok(take(&mut self.shared.state().incoming, bytes))
     }
 }
 

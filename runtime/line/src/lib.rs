@@ -17,7 +17,7 @@
 //!
 //! use embedded_io::{Read, ReadReady, Write};
 //! use sortie_core::Shape;
-//! use sortie_line::{Away, Home, Key, Offer, Team};
+//! use sortie_line::{Away, Home, Key, LineSettings, Offer, Team};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let shape = Shape { agents: 5, entities: 11, tasks: 6, actions: 13, features: 58 };
@@ -27,11 +27,13 @@
 //!     true => Ok(team),
 //!     false => Err("it is another runner".to_owned()),
 //! };
-//! let home = Home::open("127.0.0.1:0".parse()?, Key::plain(), 1, judge, || ())?;
+//! let settings = LineSettings { address: "127.0.0.1:0".parse()?, key: Key::plain(), copies: 1 };
+//! let home = Home::open(settings.clone(), judge, || ())?;
 //!
 //! // On the other host.
 //! let patience = Duration::from_secs(5);
-//! let taken = Away::connect(home.address()?, Key::plain(), 1, wanted, patience, &|| false)?;
+//! let settings = LineSettings { address: home.address()?, ..settings };
+//! let taken = Away::connect(settings, wanted, patience, &|| false)?;
 //! assert_eq!(taken.team.shape(), shape);
 //! let mut line = taken.line;
 //! line.write_all(b"an answer")?;
@@ -52,14 +54,26 @@ mod away;
 mod datagram;
 mod home;
 mod key;
-mod session;
 #[cfg(test)]
 mod tests;
+
+use std::net::SocketAddr;
 
 pub use away::{Away, Rest, Taken};
 pub use datagram::{Offer, Team};
 pub use home::{Home, HomePort};
 pub use key::{Key, KeyError};
+
+/// What both ends of a line are opened with.
+#[derive(Clone, Debug)]
+pub struct LineSettings {
+    /// Where the team's end listens, and the runner's finds it.
+    pub address: SocketAddr,
+    /// The secret of both.
+    pub key: Key,
+    /// How often everything is said, for lines that lose much.
+    pub copies: usize,
+}
 
 /// Why a line is not opened.
 #[derive(Debug, thiserror::Error)]

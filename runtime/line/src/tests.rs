@@ -10,7 +10,7 @@ use embedded_io::{Read, ReadReady, Write};
 use sortie_core::Shape;
 
 use crate::datagram::{Head, Kind, seal};
-use crate::{Away, Home, Key, LineError, Offer, Taken, Team};
+use crate::{Away, Home, Key, LineError, LineSettings, Offer, Taken, Team};
 
 const OFFER: Offer = Offer { abi: 3, contract: 7, model: [1; 16], agents: 0b110 };
 const SHAPE: Shape = Shape { agents: 3, entities: 5, tasks: 2, actions: 4, features: 6 };
@@ -23,14 +23,18 @@ fn judge(offer: &Offer) -> Result<Team, String> {
     }
 }
 
+fn settings(address: SocketAddr, key: Key) -> LineSettings {
+    LineSettings { address, key, copies: 1 }
+}
+
 fn home(key: Key) -> (Home, SocketAddr) {
-    let home = Home::open(ANY, key, 1, judge, || ()).unwrap();
+    let home = Home::open(settings(ANY, key), judge, || ()).unwrap();
     let address = home.address().unwrap();
     (home, address)
 }
 
 fn connect(address: SocketAddr, key: Key, offer: Offer) -> Result<Taken, LineError> {
-    Away::connect(address, key, 1, offer, Duration::from_millis(600), &|| false)
+    Away::connect(settings(address, key), offer, Duration::from_millis(600), &|| false)
 }
 
 /// What comes within a while.
@@ -91,7 +95,8 @@ fn strangers_and_others_are_not_taken() {
     // While it is heard nobody else acts for its agents, and then somebody may.
     let second = connect(address, key.clone(), OFFER).err();
     assert!(matches!(second, Some(LineError::Busy { .. })), "{second:?}");
-    let later = Away::connect(address, key, 1, OFFER, Duration::from_secs(3), &|| false);
+    let later = settings(address, key);
+    let later = Away::connect(later, OFFER, Duration::from_secs(3), &|| false);
     let mut later = later.unwrap().line;
     later.write_all(b"next").unwrap();
     later.send();
@@ -109,7 +114,7 @@ fn another_end_of_the_team_is_noticed() {
     line.send();
     assert_eq!(read(&mut first.port()), b"x");
     drop(first);
-    let _second = Home::open(address, Key::plain(), 1, judge, || ()).unwrap();
+    let _second = Home::open(settings(address, Key::plain()), judge, || ()).unwrap();
     let until = Instant::now() + Duration::from_secs(5);
     while !line.is_replaced() && Instant::now() < until {
         line.send();

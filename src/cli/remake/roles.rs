@@ -56,6 +56,8 @@ pub(super) trait Judge {
 /// A runner that decides again.
 struct Runner {
     role: RunnerRole,
+    /// Its place among the policies of every team.
+    place: usize,
     /// What decided its last answers, as far as they name it.
     model: u32,
     /// What its agents remember is what they remembered then; unknown until that was emptied.
@@ -96,8 +98,7 @@ impl Runner {
 
 /// All roles, and what they are fed with.
 pub(super) struct Roles<'a> {
-    /// Each with its place among the policies of every team.
-    runners: BTreeMap<u32, (usize, Runner)>,
+    runners: BTreeMap<u32, Runner>,
     allocator: AllocatorRole,
     teams: Vec<Team<'a>>,
     fallback: Option<RuleAllocator>,
@@ -131,7 +132,7 @@ impl<'a> Roles<'a> {
         let runner = |(place, pid): (usize, &u32)| {
             let is_engine = contents.engines.contains(pid);
             let (role, waiting) = (RunnerRole::new(options), Vec::new());
-            (*pid, (place, Runner { role, model: 0, knows: false, is_engine, waiting }))
+            (*pid, Runner { role, place, model: 0, knows: false, is_engine, waiting })
         };
         let options = AllocatorOptions { format, identity, decision_interval };
         Ok(Self {
@@ -160,13 +161,13 @@ impl<'a> Roles<'a> {
                 if message.has(ActionMsg::BYE) {
                     return;
                 }
-                let Some((_, runner)) = self.runners.get(&message.runner) else { return };
+                let Some(runner) = self.runners.get(&message.runner) else { return };
                 let is_next =
                     runner.waiting.first().is_some_and(|first| first.tick != message.tick);
                 if is_next {
                     self.answer(message.runner);
                 }
-                if let Some((_, runner)) = self.runners.get_mut(&message.runner) {
+                if let Some(runner) = self.runners.get_mut(&message.runner) {
                     runner.waiting.push(message);
                 }
             }
@@ -192,12 +193,12 @@ impl<'a> Roles<'a> {
 
     /// Has a runner answer again what it answered last.
     pub(super) fn answer(&mut self, runner: u32) {
-        let Some((place, runner)) = self.runners.get_mut(&runner) else { return };
+        let Some(runner) = self.runners.get_mut(&runner) else { return };
         let answers = std::mem::take(&mut runner.waiting);
         let Some(first) = answers.first() else { return };
         let count = answers.len() as u64;
         let team = self.teams.iter_mut().find(|team| team.takes(first.model));
-        let Some(policy) = team.and_then(|team| team.policies.get_mut(*place)) else {
+        let Some(policy) = team.and_then(|team| team.policies.get_mut(runner.place)) else {
             self.made.of_others += count;
             return;
         };

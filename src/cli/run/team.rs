@@ -45,22 +45,24 @@ fn listed(agents: &[u16], between: &str) -> String {
 impl Team<'_> {
     /// The runner of these agents.
     pub(super) fn runner(&self, agents: &[u16]) -> Charge {
-        let mut command = self.command("runner");
-        command.arg("--agents").arg(listed(agents, ","));
-        Charge {
-            name: format!("the runner of {}", named_agents(agents)),
-            role: Role::Runner,
-            agents: agents.iter().fold(0, |seats, agent| seats | 1 << agent),
-            command,
-        }
+        self.seated("runner", agents)
     }
 
     /// Who stands for the runner of these agents, which is on another host.
     pub(super) fn stand_in(&self, agents: &[u16]) -> Charge {
-        let mut command = self.command("stand-in");
+        self.seated("stand-in", agents)
+    }
+
+    /// A process that holds the seats of these agents.
+    fn seated(&self, what: &str, agents: &[u16]) -> Charge {
+        let mut command = self.command(what);
         command.arg("--agents").arg(listed(agents, ","));
-        let name = format!("the stand-in of {}", named_agents(agents));
-        Charge { name, command, ..self.runner(agents) }
+        Charge {
+            name: format!("the {what} of {}", named_agents(agents)),
+            role: Role::Runner,
+            agents: agents.iter().fold(0, |seats, agent| seats | 1 << agent),
+            command,
+        }
     }
 
     /// An allocator, one of several that differ by name only; none for a team that knows of no subtasks.
@@ -128,16 +130,20 @@ impl Absentees {
 
     /// The groups of agents that processes act for, without these.
     pub(super) fn leave_out(&self, groups: Vec<Vec<u16>>) -> Vec<Vec<u16>> {
-        let mut left = groups;
-        left.iter_mut().for_each(|group| group.retain(|agent| !self.absent.contains(agent)));
-        left.retain(|group| !group.is_empty());
-        left
+        without(groups, &self.absent)
     }
 
     /// As a flag for a world.
     pub(super) fn flag(&self) -> Option<String> {
         (!self.absent.is_empty()).then(|| format!("--absent={}", listed(&self.absent, ",")))
     }
+}
+
+/// Groups of agents without these.
+pub(super) fn without(mut groups: Vec<Vec<u16>>, left_out: &[u16]) -> Vec<Vec<u16>> {
+    groups.iter_mut().for_each(|group| group.retain(|agent| !left_out.contains(agent)));
+    groups.retain(|group| !group.is_empty());
+    groups
 }
 
 /// What processes ask the system for.

@@ -12,7 +12,7 @@ use sortie_ipc::{
     group_agents, supervise,
 };
 
-use super::team::{Scheduling, Team, check_cores};
+use super::team::{Scheduling, Team, check_cores, without};
 use super::world::{Playing, open_world};
 use crate::allocation::AllocatorChoice;
 use crate::allocator::{DeployedAllocator, ProposalArguments};
@@ -165,9 +165,7 @@ fn charges(
 ) -> Result<Vec<Charge>, Failure> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let groups = group_agents(agents, cores, arguments.isolate || arguments.private);
-    let mut groups = arguments.playing.absentees.leave_out(groups);
-    groups.iter_mut().for_each(|group| group.retain(|agent| !arguments.away.contains(agent)));
-    groups.retain(|group| !group.is_empty());
+    let groups = without(arguments.playing.absentees.leave_out(groups), &arguments.away);
     if arguments.pin {
         check_cores(1 + groups.len(), cores)?;
     }

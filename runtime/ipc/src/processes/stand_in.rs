@@ -1,7 +1,5 @@
 //! Who stands in a team for a runner on another host: it holds the seats, and passes on what both say.
 
-use std::net::SocketAddr;
-
 use sortie_core::link::{
     ActionTx, AllocRx, Bell, Clock, Frame, FrameRx, LinkError, Relay, StatTx, Wake, packet_bytes,
 };
@@ -9,7 +7,7 @@ use sortie_core::roles::{Counters, Identity, Poll};
 use sortie_core::wire::{
     ABI, ActionMsg, AllocMsg, Command, ControlReq, ControlStatus, FrameHeader, Role, StatMsg,
 };
-use sortie_line::{Home, HomePort, Key, Offer, Team};
+use sortie_line::{Home, HomePort, LineSettings, Offer, Team};
 
 use super::abandoned::Abandoned;
 use super::children::Parent;
@@ -20,17 +18,6 @@ use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
 use crate::process_info::ProcessInfo;
 use crate::stop::{Stop, Wakeable};
-
-/// Where a runner on another host finds its stand-in, and how both know each other.
-#[derive(Debug)]
-pub struct LineSettings {
-    /// Where it listens.
-    pub address: SocketAddr,
-    /// The secret of both.
-    pub key: Key,
-    /// How often everything is said, for lines that lose much.
-    pub copies: usize,
-}
 
 /// Stands for the runner of `agents` on another host, in this thread, until the world ends. The seats are taken whether or not
 /// anybody is at the other end: without it the agents' fallbacks act, and nobody else can.
@@ -63,9 +50,8 @@ pub fn stand_in_process(
     let team = Team::new(facts.shape(), facts.period_ns(), host_of(seats));
     let wanted = Offer { abi: ABI, contract: contract.hash, model: settings.model, agents: seats };
     let waker = link.waker();
-    let LineSettings { address, key, copies } = line;
     let judge = move |offer: &Offer| check(offer, &wanted).map(|()| team);
-    let home = Home::open(address, key, copies, judge, move || waker.wake())?;
+    let home = Home::open(line, judge, move || waker.wake())?;
     let mut packet = vec![0; packet_bytes(facts.shape())];
     let relay = Relay::new(home.port(), format, seats, &mut packet);
     let identity = settings.identity(&name);
