@@ -1,9 +1,12 @@
 //! One agent after the other points at a subtask, in any number of episodes that have the same subtasks.
 
 use sortie_core::allocate::pointing::Round;
-use sortie_envs::{EntitySet, Environment, Observation, UNASSIGNED, members};
+use sortie_envs::random::unit;
+use sortie_envs::{EntitySet, Environment, Observation, Random, UNASSIGNED, members};
+use sortie_learn::networks::{chances, drawn};
 use sortie_nn::tape::Tape;
 
+use super::aql::Critic;
 use super::network::{Decisions, Network};
 
 /// The subtasks of an instance, which stay as they are for its whole episode.
@@ -163,56 +166,175 @@ impl Group {
         self.subtasks = subtasks;
     }
 
+    /// The teams of some states, whose subtasks are looked at.
+    fn teams(
+        &mut self,
+        network: (&Network, &[f32]),
+        Seen { environment, turn, states }: Seen<'_>,
+    ) -> Vec<Team> {
+        let mut seen = Observation::default();
+        let (mut teams, mut subtasks) = (Vec::new(), Subtasks::default());
+        for asked in states {
+            environment.observe(asked.state, turn, EntitySet::MAX, &mut seen);
+            if teams.is_empty() {
+                subtasks = Subtasks::of(&seen, environment.spec().fixed);
+            }
+            teams.push(Team::of(environment, asked, &seen));
+        }
+        self.encode(network, subtasks);
+        teams
+    }
+
     /// Allocates the agents of some states of these episodes, each by its number: `choose` picks a place among those that a
     /// decision offers, by the scores of all.
     pub(super) fn allocate(
         &mut self,
-        (network, weights): (&Network, &[f32]),
-        Seen { environment, turn, states }: Seen<'_>,
+        network: (&Network, &[f32]),
+        seen: Seen<'_>,
         mut choose: impl FnMut(&[f32], u32) -> usize,
     ) -> Vec<Vec<u8>> {
-        let spec = environment.spec();
-        let mut seen = Observation::default();
-        let mut subtasks = Subtasks::default();
-        let mut teams: Vec<Team> = Vec::new();
-        for asked in states {
-            environment.observe(asked.state, turn, EntitySet::MAX, &mut seen);
-            if teams.is_empty() {
-                subtasks = Subtasks::of(&seen, spec.fixed);
-            }
-            teams.push(Team::of(environment, asked, &seen));
-        }
-        self.encode((network, weights), subtasks);
-        let Self { tables, made, tape, now, .. } = self;
-        for agent in 0..spec.shape.agents {
-            now.clear();
+        let mut teams = self.teams(network, seen);
+        for agent in 0..seen.environment.spec().shape.agents {
+            self.now.clear();
             let mut deciding = Vec::new();
-            for (team, asked) in teams.iter_mut().zip(states) {
-                let options = team.round().options(agent);
-                match options.count_ones() {
-                    0 => {}
-                    1 => team.allocation[agent] = options.trailing_zeros() as u8,
-                    _ => {
-                        team.describe((agent, options), &self.subtasks, now);
-                        now.episodes.push(asked.episode);
-                        deciding.push(team);
-                    }
+            for (team, asked) in teams.iter_mut().zip(seen.states) {
+                if self.has_choice(agent, team, asked.episode) {
+                    deciding.push(team);
                 }
             }
             if deciding.is_empty() {
                 continue;
             }
-            let mut pass = tape.begin(weights);
-            let known = pass.input(tables.len() / self.subtasks.len(), tables);
-            let scores = network.scores(&mut pass, known, now);
-            let scores = pass.values(scores).chunks_exact(self.subtasks.len());
-            for ((scores, offered), team) in scores.zip(&now.offered).zip(deciding) {
-                let place = choose(scores, *offered);
+            let scores = self.scores(network);
+            let Self { subtasks, made, now, .. } = self;
+            for (decision, team) in deciding.into_iter().enumerate() {
+                let scores = &scores[decision * subtasks.len()..][..subtasks.len()];
+                let place = choose(scores, now.offered[decision]);
                 now.chosen.push(place);
-                team.allocation[agent] = self.subtasks.tasks[place];
+                team.allocation[agent] = subtasks.tasks[place];
             }
-            made.append(now, self.subtasks.len());
+            made.append(now, subtasks.len());
         }
         teams.into_iter().map(|team| team.allocation).collect()
+    }
+
+    /// Whether there is more than one subtask for an agent of a team: then the decision is described as the next one;
+    /// otherwise it is given what there is.
+    fn has_choice(&mut self, agent: usize, team: &mut Team, episode: usize) -> bool {
+        let options = team.round().options(agent);
+        if options.count_ones() > 1 {
+            team.describe((agent, options), &self.subtasks, &mut self.now);
+            self.now.episodes.push(episode);
+            return true;
+        }
+        if options != 0 {
+            team.allocation[agent] = options.trailing_zeros() as u8;
+        }
+        false
+    }
+
+    /// `[situations]`: what a critic makes of what it was described.
+    pub(super) fn values(&mut self, (critic, weights): (&Critic, &[f32])) -> Vec<f32> {
+        let Self { subtasks, tables, tape, made, .. } = self;
+        let mut pass = tape.begin(weights);
+        let known = pass.input(tables.len() / subtasks.len(), tables);
+        let values = critic.values(&mut pass, known, made);
+        pass.values(values).to_vec()
+    }
+
+    /// `[decisions, subtasks]`: the scores of the decisions that were described.
+    fn scores(&mut self, (network, weights): (&Network, &[f32])) -> Vec<f32> {
+        let Self { subtasks, tables, tape, now, .. } = self;
+        let mut pass = tape.begin(weights);
+        let known = pass.input(tables.len() / subtasks.len(), tables);
+        let scores = network.scores(&mut pass, known, now);
+        pass.values(scores).to_vec()
+    }
+
+    /// Draws so many allocations in each state; of each state those that are different, which begin alike as long as they are
+    /// alike.
+    pub(super) fn propose(
+        &mut self,
+        network: (&Network, &[f32]),
+        seen: Seen<'_>,
+        (count, random): (usize, &mut Random),
+    ) -> Vec<Vec<Vec<u8>>> {
+        let teams = self.teams(network, seen);
+        // Of each state, and of how many proposals.
+        let mut begun: Vec<(usize, usize, Team)> = Vec::new();
+        begun.extend(teams.into_iter().enumerate().map(|(state, team)| (state, count, team)));
+        for agent in 0..seen.environment.spec().shape.agents {
+            self.now.clear();
+            let mut next = Vec::with_capacity(begun.len());
+            let mut deciding = Vec::new();
+            for (state, count, mut team) in begun {
+                let list = if self.has_choice(agent, &mut team, state) {
+                    &mut deciding
+                } else {
+                    &mut next
+                };
+                list.push((state, count, team));
+            }
+            let scores = if deciding.is_empty() { Vec::new() } else { self.scores(network) };
+            let subtasks = &self.subtasks;
+            for (decision, (state, count, team)) in deciding.into_iter().enumerate() {
+                let scores = &scores[decision * subtasks.len()..][..subtasks.len()];
+                let chances = chances(scores, self.now.offered[decision].into());
+                let mut drawn_times = vec![0; subtasks.len()];
+                (0..count).for_each(|_| drawn_times[drawn(&chances, unit(random) as f32)] += 1);
+                for (place, count) in
+                    drawn_times.into_iter().enumerate().filter(|(_, count)| *count > 0)
+                {
+                    let mut team = team.clone();
+                    team.allocation[agent] = subtasks.tasks[place];
+                    next.push((state, count, team));
+                }
+            }
+            begun = next;
+        }
+        let mut proposals = vec![Vec::new(); seen.states.len()];
+        begun.into_iter().for_each(|(state, _, team)| proposals[state].push(team.allocation));
+        proposals
+    }
+
+    /// Describes the decisions that lead to these allocations, as if they had been made.
+    pub(super) fn follow(
+        &mut self,
+        network: (&Network, &[f32]),
+        seen: Seen<'_>,
+        allocations: &[Vec<u8>],
+    ) {
+        self.made.clear();
+        let teams = self.teams(network, seen);
+        for (mut team, allocation) in teams.into_iter().zip(allocations) {
+            for (agent, task) in allocation.iter().enumerate() {
+                self.now.clear();
+                if self.has_choice(agent, &mut team, 0) {
+                    self.now.chosen.push(self.subtasks.place(*task));
+                    self.made.append(&self.now, self.subtasks.len());
+                }
+                team.allocation[agent] = *task;
+            }
+        }
+    }
+
+    /// Describes states to a critic, each as the first of its agents sees all others, with what they were given there.
+    pub(super) fn look(
+        &mut self,
+        network: (&Network, &[f32]),
+        seen: Seen<'_>,
+        allocations: &[Vec<u8>],
+    ) {
+        self.made.clear();
+        let teams = self.teams(network, seen);
+        for (mut team, allocation) in teams.into_iter().zip(allocations) {
+            team.allocation.copy_from_slice(allocation);
+            let first = team.offers.iter().position(|offer| *offer != 0).unwrap_or(0);
+            self.now.clear();
+            team.describe((first, 0), &self.subtasks, &mut self.now);
+            self.now.episodes.push(0);
+            self.now.chosen.push(0);
+            self.made.append(&self.now, self.subtasks.len());
+        }
     }
 }

@@ -3,9 +3,10 @@
 //!
 //! The preset `fast` points at subtasks by an attention model, and learns from whole episodes: several of one start, of which
 //! each is as good as it is better than the others (REINFORCE, Williams 1992, with what Kwon et al. 2020 compare an
-//! episode with).
+//! episode with). The preset [`paper`](aql) draws proposals, of which a critic takes the best.
 
 mod agents;
+mod aql;
 mod deciding;
 mod export;
 mod greedy;
@@ -19,19 +20,25 @@ use sortie_learn::configuration::Range::{Number, Whole};
 use sortie_learn::configuration::{OPTIMISER, OptimiserConfig};
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
-use sortie_learn::{LearnError, Method, sections};
+use sortie_learn::{LearnError, Method, section, sections};
+use toml::Table;
+
+section! {
+    /// Encoder of subtasks and decoder of agents.
+    NetworkConfig, NETWORK;
+
+    /// Width of embedding and attention, a multiple of 4.
+    width: usize = 64, Whole(4, 1024), "columns";
+    /// Layers of the encoder.
+    layers: usize = 2, Whole(1, 16), "layers";
+}
 
 sections! {
     /// Sizes and rates; the default is the preset `fast`.
     Config, KEYS;
 
     /// Encoder of subtasks and decoder of agents.
-    network: NetworkConfig {
-        /// Width of embedding and attention, a multiple of 4.
-        width: usize = 64, Whole(4, 1024), "columns";
-        /// Layers of the encoder.
-        layers: usize = 2, Whole(1, 16), "layers";
-    }
+    network: NetworkConfig = NetworkConfig::default(), NETWORK;
 
     /// What an episode is compared with.
     baseline: BaselineConfig {
@@ -57,8 +64,8 @@ sections! {
 pub const ALLOCATOR: MethodEntry = MethodEntry {
     name: "allocator",
     about: "A centralized allocator alone, whose agents follow their environment's script (dissertation section 7.4)",
-    keys: |_| KEYS,
-    presets: &[Preset { name: "fast", setup: fast }],
+    keys: |own| if has_critic(own) { aql::KEYS } else { KEYS },
+    presets: &[Preset { name: "fast", setup: fast }, Preset { name: "paper", setup: aql::paper }],
     flags: &[],
     compared_with: None,
     in_proportion: &[],
@@ -71,6 +78,11 @@ pub const ALLOCATOR: MethodEntry = MethodEntry {
 fn fast() -> Setup {
     let run = RunConfig { steps: 12_000_000, evaluate_every: 1_000_000, ..RunConfig::default() };
     Setup::of(256, run, &Config::default())
+}
+
+/// Whether it learns by proposals and a critic.
+fn has_critic(own: &Table) -> bool {
+    own.contains_key("critic")
 }
 
 fn misfit(spec: &Spec) -> Option<&'static str> {
@@ -87,5 +99,8 @@ fn misfit(spec: &Spec) -> Option<&'static str> {
 }
 
 fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
+    if has_critic(&opening.setup.own) {
+        return Ok(Box::new(aql::Aql::new(opening.setup.own()?, opening)?));
+    }
     Ok(Box::new(method::Allocator::new(opening.setup.own()?, opening)?))
 }

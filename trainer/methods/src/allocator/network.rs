@@ -202,9 +202,19 @@ impl Network {
     /// `[decisions, subtasks]`: the scores of all subtasks in each decision.
     pub(super) fn scores(&self, pass: &mut Pass<'_>, tables: Var, decisions: &Decisions) -> Var {
         let width = self.width;
-        let parts =
-            [0..2 * width, 2 * width..4 * width, 4 * width..5 * width, 5 * width..6 * width];
-        let [left, given, keys, own] = parts.map(|columns| pass.columns(tables, columns));
+        let query = self.query(pass, tables, decisions);
+        let keys = pass.columns(tables, 4 * width..5 * width);
+        let scores = pass.product_transposed(query, keys);
+        let scores = pass.scale(scores, 1.0 / (width as f32).sqrt());
+        let scores = pass.tanh(scores);
+        pass.scale(scores, BOUND)
+    }
+
+    /// `[decisions, width]`: the vectors that point.
+    pub(super) fn query(&self, pass: &mut Pass<'_>, tables: Var, decisions: &Decisions) -> Var {
+        let width = self.width;
+        let parts = [0..2 * width, 2 * width..4 * width, 5 * width..6 * width];
+        let [left, given, own] = parts.map(|columns| pass.columns(tables, columns));
         let mut seen = vec![left];
         if !decisions.agents.is_empty() {
             seen.push(self.others(pass, given, decisions));
@@ -216,11 +226,7 @@ impl Network {
         let x = pass.add(x, own);
         let x = self.decoder.pass(pass, x, keys_values, &decisions.seen);
         let x = pass.normalise_rows(x);
-        let query = pass.linear(x, self.pointer);
-        let scores = pass.product_transposed(query, keys);
-        let scores = pass.scale(scores, 1.0 / (width as f32).sqrt());
-        let scores = pass.tanh(scores);
-        pass.scale(scores, BOUND)
+        pass.linear(x, self.pointer)
     }
 }
 

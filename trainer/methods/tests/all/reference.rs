@@ -7,6 +7,8 @@ use sortie_envs::{ENVIRONMENTS, Split};
 use sortie_learn::configuration::{Key, Range, Section};
 use sortie_learn::run::Difference;
 use sortie_learn::session::MethodEntry;
+use sortie_methods::METHODS;
+use sortie_methods::allocator::ALLOCATOR;
 use sortie_methods::alma::{ALMA, COPA, FLAT};
 use sortie_methods::dqn::DQN;
 use sortie_methods::hal::{H_DQN, HAL, HAL_ORACLE};
@@ -41,9 +43,10 @@ This page is written by the program; a test compares them.
 const SETTINGS: &str = "environment.settings";
 
 /// The methods of the page; each stands for those that are like it.
-fn pages() -> [(MethodEntry, Vec<MethodEntry>); 7] {
+fn pages() -> [(MethodEntry, Vec<MethodEntry>); 8] {
     [
         (ALMA, vec![FLAT, COPA]),
+        (ALLOCATOR, vec![]),
         (QMIX, vec![VDN, REFIL]),
         (MAPPO, vec![IPPO]),
         (MAAC, vec![COMA, COMA_SAC, MADDPG, MADDPG_SAC, DDPG]),
@@ -200,8 +203,13 @@ fn the_page_says_every_key_once() {
         [environments.md](environments.md#settings).\n";
     page += &sections();
     page += "\n## Methods like others\n\n| method | preset | as | but for |\n| --- | --- | --- | --- |\n";
+    let mut told = Vec::new();
     for (first, like_it) in pages() {
         page += &others(&first, &like_it);
+        told.extend(like_it.iter().chain([&first]).map(|method| method.name));
+    }
+    for method in METHODS {
+        assert!(told.contains(&method.name), "`{}` is not on the page", method.name);
     }
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/reference/configuration.md");
     if std::env::var_os("SORTIE_WRITE_DOCS").is_some() {
