@@ -25,9 +25,11 @@ impl ScenarioSetName {
         };
         let name = Self { entry: entry(name)?, set: set.unwrap_or_default().to_owned() };
         let name = if set.is_none() { Self::usual(name.entry) } else { name };
-        name.choose(Split::Train, 0)
-            .map_err(|error| Failure::new(Exit::Usage, error.to_string()))?;
-        Ok(name)
+        match name.choose(Split::Train, 0) {
+            // With settings that are still to come it may be another world.
+            Ok(_) | Err(EnvironmentError::Setting(_)) => Ok(name),
+            Err(error) => Err(Failure::new(Exit::Usage, error.to_string())),
+        }
     }
 
     /// The set that an environment is played in where none is named.

@@ -177,6 +177,15 @@ fn a_configuration_explains_itself_and_is_read_back() {
     assert_eq!(String::from_utf8_lossy(&again.stdout), String::from_utf8_lossy(&printed.stdout));
 }
 
+/// 31 customers are too many for the usual four vehicles; a preset looks at the world with the settings that it is given.
+#[test]
+fn a_world_that_only_its_settings_allow_is_learned_in() {
+    let words = ["train", "allocator", "--env", "routing/31", "--print-config"];
+    assert_fails(&output(&words), 2, &["capacity"]);
+    let printed = output(&[&words[..], &["--set", "environment.settings.vehicles=8"]].concat());
+    assert!(printed.status.success(), "{}", support::stderr(&printed));
+}
+
 #[test]
 fn the_page_shows_the_programs_that_are_there() {
     let read = |name: &str| std::fs::read_to_string(name).expect("a file of the project");

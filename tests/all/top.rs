@@ -7,8 +7,8 @@ use std::process::{Child, Command, Stdio};
 use serde_json::Value;
 
 use crate::support::{
-    Playing, TestDomain, assert_fails, json, kill, output, python, resume, sortie, stderr, stop,
-    wait_until,
+    BUNDLE, Playing, TestDomain, assert_fails, json, kill, output, python, resume, sortie, stderr,
+    stop, wait_until,
 };
 
 /// What helps where Python has no client of Prometheus.
@@ -154,6 +154,28 @@ fn a_runner_that_is_killed_is_seen_to_be_gone_and_to_be_replaced() {
     up.end(&domain);
     assert_eq!(served.process.wait().expect("its status").code(), Some(0));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
+}
+
+/// The learned allocator gives what its search finds to be the best; a rule does not know what is.
+#[test]
+fn a_bundle_tells_how_far_allocations_are_from_the_best() {
+    for (rule, is_best) in [("learned", true), ("random", false)] {
+        let domain = TestDomain::new("regret");
+        let up = Playing::with(&domain, &["--rate", "100", "--allocation", rule]);
+        let look = ["top", "--domain", &domain.id, "--for", "1", "--bundle"];
+        let told = || json(&[&look[..], &[BUNDLE, "--json"]].concat())["allocation"].clone();
+        wait_until("an allocation is judged", || told()["value"].is_f64());
+        let regrets = (0..3).map(|_| told()["regret"].as_f64().expect("a regret"));
+        let regrets: Vec<f64> = regrets.collect();
+        let most = regrets.iter().copied().fold(0.0, f64::max);
+        assert!(regrets.iter().all(|regret| *regret > -1e-3), "{regrets:?}");
+        assert_eq!(most < 1e-3, is_best, "{rule}: {regrets:?}");
+        let page = output(&[&look[..], &[BUNDLE]].concat());
+        assert!(String::from_utf8_lossy(&page.stdout).contains("regret, beside the best"));
+        let others = output(&[&look[..], &["models/gridworld"]].concat());
+        assert_fails(&others, 78, &["models/gridworld", "not what this team plays by"]);
+        up.end(&domain);
+    }
 }
 
 #[test]

@@ -7,7 +7,7 @@ use sortie_core::{AllocateError, AllocationState, NO_ACTION, UNASSIGNED};
 use sortie_stage::{Attention, Thought, rounded};
 
 use crate::output::{Table, say};
-use crate::views::probes::OfState;
+use crate::views::probes::{OfState, team_on};
 
 /// Whom a person is told of, of all that an agent attends to.
 const TOLD: usize = 8;
@@ -75,21 +75,14 @@ struct Place {
     instead: Option<f64>,
 }
 
-/// The agents that are there and work on a subtask.
-fn team_on(task: usize, tasks: &[u8], state: &AllocationState<'_>) -> u64 {
-    let given = tasks.iter().take(state.agents).enumerate();
-    let members = given
-        .filter(|(member, given)| usize::from(**given) == task && state.present.contains(*member));
-    members.fold(0, |team, (member, _)| team | 1 << member)
-}
-
 impl Allocated {
-    /// By what is asked of the team's network, if it has one that values teams, and by the allocation that is best by it.
+    /// By what is asked of the team's network, if it has one that values teams, and by what the allocation and the best one are
+    /// worth by it.
     pub(super) fn new(
         allocation: &AllocMsg,
         state: &AllocationState<'_>,
         (agent, team_max): (u16, usize),
-        (mut values, best): (Option<&mut OfState<'_>>, Option<&[u8]>),
+        (mut values, worth): (Option<&mut OfState<'_>>, Option<[f64; 2]>),
     ) -> Result<Self, AllocateError> {
         let team_of = |task: usize| team_on(task, &allocation.task, state);
         let own = allocation.task.get(usize::from(agent)).copied().unwrap_or(UNASSIGNED);
@@ -119,18 +112,13 @@ impl Allocated {
             let team = (0..state.agents).filter(|member| team >> member & 1 == 1).collect();
             tasks.push(Place { task, team, value: value.map(rounded), instead });
         }
-        let mut of_all = |given: &[u8]| -> Result<Option<f64>, AllocateError> {
-            tasks.iter().map(|place| ask(place.task, team_on(place.task, given, state))).sum()
-        };
-        let value = of_all(&allocation.task)?;
-        let best = best.map_or(Ok(None), &mut of_all)?;
         Ok(Self {
             tick: allocation.tick as u32,
             term: allocation.term,
             epoch: allocation.epoch,
             heuristic: allocation.flags & AllocMsg::HEURISTIC != 0,
-            value: value.map(rounded),
-            regret: best.zip(value).map(|(best, value)| rounded(best - value)),
+            value: worth.map(|[value, _]| rounded(value)),
+            regret: worth.map(|[value, best]| rounded(best - value)),
             tasks,
         })
     }
@@ -254,6 +242,7 @@ mod tests {
     use zerocopy::FromZeros;
 
     use super::*;
+    use crate::views::probes;
 
     /// What a team is worth: no two teams of a subtask are worth the same.
     fn worth(task: usize, team: u64) -> f64 {
@@ -291,8 +280,10 @@ mod tests {
             Ok(teams.iter().map(|team| worth(task, *team) as f32).collect())
         };
         for agent in 0..4 {
-            let made =
-                Allocated::new(&allocation, &state, (agent, 2), (Some(&mut values), Some(&best)));
+            let worth = [given, best]
+                .map(|tasks| probes::total(&mut values, &state, &tasks).expect("nobody refuses"));
+            let judged = (Some(&mut values as &mut OfState<'_>), Some(worth));
+            let made = Allocated::new(&allocation, &state, (agent, 2), judged);
             let made = made.expect("nobody refuses");
             assert_eq!(made.tasks.len(), 3);
             let is = |told: Option<f64>, expected: f64| {

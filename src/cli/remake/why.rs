@@ -255,10 +255,14 @@ fn worth(
     let state = view.allocation_state();
     let values_teams = bundle.allocator_onnx().is_some();
     let mut network = values_teams.then(|| TeamNetwork::open(bundle)).transpose()?;
-    let best = network.as_mut().map(|network| network.best(&state)).transpose()?;
+    let worth = network.as_mut().map(|network| -> Result<_, Failure> {
+        let best = network.best(&state)?;
+        Ok([network.worth(state, &allocation.task)?, network.worth(state, &best)?])
+    });
+    let worth = worth.transpose()?;
     let mut values = network.as_mut().map(|network| network.of_state(state)).transpose()?;
     let team_max = usize::from(bundle.manifest().limits.team_max);
-    let judged = (values.as_deref_mut(), best.as_deref());
+    let judged = (values.as_deref_mut(), worth);
     Allocated::new(allocation, &state, (agent, team_max), judged)
         .map_err(|error| Failure::new(Exit::BadData, error.to_string()))
 }

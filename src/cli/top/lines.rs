@@ -76,7 +76,10 @@ fn head(team: &Overview) -> Vec<String> {
     let frame = team.frame.map_or("no frames for all".to_owned(), |frame| {
         format!("tick {}, episode {}, step {}", frame.tick, frame.episode, frame.step)
     });
-    vec![format!("{place}: {frame}"), leader(team), rate(team), String::new()]
+    let mut lines = vec![format!("{place}: {frame}"), leader(team), rate(team)];
+    lines.extend(worth(team));
+    lines.push(String::new());
+    lines
 }
 
 /// Who allocates, and how old what agents act on is.
@@ -94,6 +97,15 @@ fn leader(team: &Overview) -> String {
         plural(newest.age_ticks as usize, "tick"),
         newest.decide_us
     )
+}
+
+/// How far a recent allocation is from the best.
+fn worth(team: &Overview) -> Option<String> {
+    let allocation = team.allocation?;
+    let (value, regret) = allocation.value.zip(allocation.regret)?;
+    Some(format!(
+        "allocated to {value:.3}; regret, beside the best that the search finds: {regret:.3}"
+    ))
 }
 
 fn rate(team: &Overview) -> String {

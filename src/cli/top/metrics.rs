@@ -100,6 +100,11 @@ fn of_allocation(text: &mut Text, it: &Allocated) {
     text.single("allocation_age_ticks", age, it.age_ticks as f64);
     let decide = "How long the newest allocation took.";
     text.single("allocation_decide_seconds", decide, it.decide_us / 1e6);
+    if let (Some(value), Some(regret)) = (it.value, it.regret) {
+        text.single("allocation_value", "What its network expects of a recent allocation.", value);
+        let more = "By how much more it expects of the best allocation that its search finds.";
+        text.single("allocation_regret", more, regret);
+    }
 }
 
 fn of_processes(text: &mut Text, processes: &[Process]) {

@@ -3,6 +3,7 @@
 mod lines;
 mod metrics;
 mod overview;
+mod regret;
 mod seat;
 mod server;
 mod team;
@@ -11,6 +12,7 @@ mod tests;
 mod window;
 
 use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -18,6 +20,7 @@ use clap::Args;
 use console::Term;
 use sortie_core::link::Clock;
 use sortie_ipc::{Domain, MonotonicClock, Stop};
+use sortie_stage::rounded;
 
 use crate::failure::{Failure, Outcome};
 use crate::listener::Listener;
@@ -26,6 +29,7 @@ use crate::screen::{Keyboard, Screen};
 use crate::terminal::{redraws, stop_on_signals};
 use lines::View;
 use overview::Overview;
+use regret::Judge;
 use team::Team;
 
 /// How often the terminal shows something else, and what is served changes.
@@ -38,6 +42,7 @@ const REFRESH: Duration = Duration::from_millis(250);
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie top
+  sortie top --bundle models/save-the-city        # with the regret of allocations
   sortie top --domain north --json                # once, after two seconds
   sortie top --json --follow --for 1              # a line a second
   sortie top --serve                              # a page and /metrics on http://127.0.0.1:9100
@@ -46,6 +51,9 @@ pub(crate) struct TopArguments {
     /// Domain of the team
     #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
     domain: String,
+    /// The team's bundle, whose network tells how far allocations are from the best that it knows
+    #[arg(long, value_name = "FOLDER")]
+    bundle: Option<PathBuf>,
     /// Print JSON for scripts instead of text
     #[arg(long)]
     json: bool,
@@ -77,7 +85,7 @@ fn seconds(text: &str) -> Result<Duration, String> {
 
 pub(crate) fn run(arguments: &TopArguments) -> Outcome {
     let stop = stop_on_signals()?;
-    let mut watch = Watch::enter(&arguments.domain, stop)?;
+    let mut watch = Watch::enter(&arguments.domain, arguments.bundle.as_deref(), stop)?;
     if let Some(address) = arguments.serve {
         return serve(&mut watch, address);
     }
@@ -104,24 +112,30 @@ pub(crate) fn run(arguments: &TopArguments) -> Outcome {
 struct Watch {
     listener: Listener,
     team: Team,
+    /// Where a bundle tells what allocations are worth.
+    judge: Option<Judge>,
     stop: Stop,
     is_over: bool,
 }
 
 impl Watch {
-    fn enter(domain: &str, stop: Stop) -> Result<Self, Failure> {
+    fn enter(domain: &str, bundle: Option<&Path>, stop: Stop) -> Result<Self, Failure> {
         let domain = Domain::new(domain)?;
         let listener = Listener::enter(&domain, "top")?;
         let team = Team::new(domain.id(), listener.facts(), MonotonicClock.now_ns())?;
-        Ok(Self { listener, team, stop, is_over: false })
+        let judge = bundle.map(|folder| Judge::open(folder, listener.facts())).transpose()?;
+        Ok(Self { listener, team, judge, stop, is_over: false })
     }
 
     /// Listens for so long. Returns whether there is more to come.
     fn listen(&mut self, span: Duration) -> Result<bool, Failure> {
         let until_ns = MonotonicClock.now_ns().saturating_add(span.as_nanos() as u64);
-        let (team, is_over) = (&mut self.team, &mut self.is_over);
+        let (team, judge, is_over) = (&mut self.team, &mut self.judge, &mut self.is_over);
         loop {
-            self.listener.look(&mut |heard, now_ns| *is_over |= team.hear(heard, now_ns))?;
+            self.listener.look(&mut |heard, now_ns| {
+                judge.iter_mut().for_each(|judge| judge.hear(heard, now_ns));
+                *is_over |= team.hear(heard, now_ns);
+            })?;
             let left_ns = until_ns.saturating_sub(MonotonicClock.now_ns());
             *is_over |= self.stop.is_set() || self.listener.is_alone();
             if *is_over || left_ns == 0 {
@@ -132,7 +146,13 @@ impl Watch {
     }
 
     fn overview(&self) -> Overview {
-        self.team.overview(MonotonicClock.now_ns())
+        let mut overview = self.team.overview(MonotonicClock.now_ns());
+        let worth = self.judge.as_ref().and_then(Judge::worth);
+        if let Some(allocation) = &mut overview.allocation {
+            allocation.value = worth.map(|worth| rounded(worth.value));
+            allocation.regret = worth.map(|worth| rounded(worth.regret));
+        }
+        overview
     }
 }
 

@@ -47,6 +47,10 @@ pub(super) struct Allocated {
     /// From its frame to the newest one.
     pub(super) age_ticks: u64,
     pub(super) decide_us: f64,
+    /// What the network that values teams expects of a recent one, and by how much more of the best that its search finds; none
+    /// where no bundle tells.
+    pub(super) value: Option<f64>,
+    pub(super) regret: Option<f64>,
     pub(super) per_s: f64,
     /// Since somebody listens.
     pub(super) total: u64,

@@ -233,6 +233,8 @@ impl Team {
             age_s: now_ns.saturating_sub(it.t_ns) as f64 / 1e9,
             age_ticks: self.newest_tick.unwrap_or(it.tick).saturating_sub(it.tick),
             decide_us: f64::from(it.decide_ns) / 1e3,
+            value: None,
+            regret: None,
             per_s: 0.0,
             total: self.total.allocations,
         }

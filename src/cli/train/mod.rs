@@ -315,6 +315,11 @@ fn setup(arguments: &TrainArguments) -> Result<Setup, Failure> {
     if let Some(name) = &arguments.env {
         methods::choose(&mut setup.environment, name)?;
     }
+    // A preset fits itself to the world, which there may only be with its settings.
+    let of_the_world = |assignment: &&String| assignment.trim_start().starts_with("environment.");
+    for assignment in arguments.assignments.iter().filter(of_the_world) {
+        setup = entry.set(&setup, assignment)?;
+    }
     if arguments.config.is_none() {
         methods::suit(entry, &arguments.preset, &mut setup)?;
     }

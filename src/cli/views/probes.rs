@@ -88,8 +88,30 @@ pub(crate) struct TeamNetwork {
     related: FrameRelation,
 }
 
+/// The agents that are there and work on a subtask, as bits.
+pub(crate) fn team_on(task: usize, tasks: &[u8], state: &AllocationState<'_>) -> u64 {
+    let given = tasks.iter().take(state.agents).enumerate();
+    let members = given
+        .filter(|(member, given)| usize::from(**given) == task && state.present.contains(*member));
+    members.fold(0, |team, (member, _)| team | 1 << member)
+}
+
 /// What teams are worth to a subtask.
 pub(crate) type OfState<'a> = dyn FnMut(usize, &[u64]) -> Result<Vec<f32>, AllocateError> + 'a;
+
+/// What all teams of an allocation are worth together.
+pub(crate) fn total(
+    values: &mut OfState<'_>,
+    state: &AllocationState<'_>,
+    tasks: &[u8],
+) -> Result<f64, AllocateError> {
+    let mut sum = 0.0;
+    for task in (0..state.tasks).filter(|task| state.open_tasks >> task & 1 == 1) {
+        let value = values(task, &[team_on(task, tasks, state)])?;
+        sum += value.first().copied().map_or(0.0, f64::from);
+    }
+    Ok(sum)
+}
 
 impl TeamNetwork {
     pub(crate) fn open(bundle: &Bundle) -> Result<Self, Failure> {
@@ -104,6 +126,16 @@ impl TeamNetwork {
         let found = allocator.allocate(state, &mut tasks);
         found.map_err(|error| Failure::new(Exit::BadData, error.to_string()))?;
         Ok(tasks)
+    }
+
+    /// What an allocation is worth: the values of the teams on all open subtasks together.
+    pub(crate) fn worth(
+        &mut self,
+        state: AllocationState<'_>,
+        tasks: &[u8],
+    ) -> Result<f64, Failure> {
+        let refused = |error: AllocateError| Failure::new(Exit::BadData, error.to_string());
+        total(&mut *self.of_state(state)?, &state, tasks).map_err(refused)
     }
 
     /// What teams are worth in a state.
