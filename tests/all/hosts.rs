@@ -113,6 +113,9 @@ fn agents_on_another_host_act_through_cuts_and_restarts() {
             && told.contains(" on host 4, model ")
             && !told.contains("version 0.0")
     });
+    let told = json(&["top", "--domain", &domain.id, "--for", "0.5", "--json"]);
+    let hosts = (0..5).map(|agent| told["agents"][agent]["host"].as_u64());
+    assert!(hosts.eq([0, 0, 0, 4, 4].map(Some)), "{told}");
     let recorder = ["record", BUNDLE, "--output", &record, "--domain", &domain.id, "--json"];
     let mut recorder =
         sortie(&recorder).stdout(Stdio::null()).spawn().expect("the command line starts");

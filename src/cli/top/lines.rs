@@ -86,7 +86,7 @@ fn head(team: &Overview) -> Vec<String> {
 fn leader(team: &Overview) -> String {
     let leads = |it: &&Process| it.role == "allocator" && it.leads_in_term.is_some();
     let leader = match team.processes.iter().find(leads) {
-        Some(it) => format!("allocator {} leads", it.pid),
+        Some(it) => format!("allocator {} leads", on_host(it.pid, it.host)),
         None => "no allocator leads".to_owned(),
     };
     let Some(newest) = team.allocation else { return leader };
@@ -97,6 +97,11 @@ fn leader(team: &Overview) -> String {
         plural(newest.age_ticks as usize, "tick"),
         newest.decide_us
     )
+}
+
+/// A process by its id, and where it is not the world's host, by that host's number.
+fn on_host(pid: u32, host: u16) -> String {
+    if host == 0 { pid.to_string() } else { format!("{pid}@{host}") }
 }
 
 /// How far a recent allocation is from the best.
@@ -135,7 +140,7 @@ fn processes(team: &Overview, is_wide: bool) -> Vec<String> {
         let model = it.model.chars().take(MODEL).collect::<String>();
         let mut row = vec![
             format!("{:9}", it.role),
-            format!("{:7}", it.pid),
+            format!("{:>7}", on_host(it.pid, it.host)),
             format!("{:9}", listed(&it.agents)),
             format!("{leads:7}"),
             format!("{:13}", state(it)),
@@ -185,7 +190,7 @@ fn agents(team: &Overview, is_wide: bool) -> Vec<String> {
             format!("{:>6}", percent(it.late_share)),
             format!("{:>6}", told(decide.map(|decide| format!("{:.0}", decide.p50)))),
             format!("{:>6}", told(decide.map(|decide| format!("{:.0}", decide.p99)))),
-            format!("{:>7}", told(it.process)),
+            format!("{:>7}", told(it.process.zip(it.host).map(|(pid, host)| on_host(pid, host)))),
         ];
         if is_wide {
             let totals = [it.asked_total, it.fallbacks_total, it.late_total];

@@ -110,18 +110,20 @@ fn of_allocation(text: &mut Text, it: &Allocated) {
 fn of_processes(text: &mut Text, processes: &[Process]) {
     text.family("process_info", "Who is there.");
     for it in processes {
-        let labels: Labels<'_> = &[("pid", &it.pid), ("role", &it.role), ("model", &it.model)];
+        let labels: Labels<'_> =
+            &[("pid", &it.pid), ("host", &it.host), ("role", &it.role), ("model", &it.model)];
         text.sample("process_info", labels, 1.0);
     }
     text.family("process_silent_seconds", "Time since a process has told of itself.");
     for it in processes {
-        let labels: Labels<'_> = &[("pid", &it.pid), ("role", &it.role)];
+        let labels: Labels<'_> = &[("pid", &it.pid), ("host", &it.host), ("role", &it.role)];
         text.sample("process_silent_seconds", labels, it.silent_ms as f64 / 1e3);
     }
     text.family("leader_term", "Term of who leads its role.");
     for it in processes {
         if let Some(term) = it.leads_in_term {
-            text.sample("leader_term", &[("pid", &it.pid), ("role", &it.role)], term.into());
+            let labels: Labels<'_> = &[("pid", &it.pid), ("host", &it.host), ("role", &it.role)];
+            text.sample("leader_term", labels, term.into());
         }
     }
 }

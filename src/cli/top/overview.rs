@@ -60,6 +60,8 @@ pub(super) struct Allocated {
 pub(super) struct Process {
     pub(super) role: &'static str,
     pub(super) pid: u32,
+    /// 0: the world's.
+    pub(super) host: u16,
     pub(super) agents: Vec<usize>,
     pub(super) model: String,
     /// The term in which it leads its role, if it leads.
@@ -87,8 +89,9 @@ pub(super) enum Standing {
 pub(super) struct Agent {
     pub(super) agent: usize,
     pub(super) standing: Standing,
-    /// Who acts for it.
+    /// Who acts for it, and on which host.
     pub(super) process: Option<u32>,
+    pub(super) host: Option<u16>,
     pub(super) action: Option<u16>,
     /// Where all agents have the same actions.
     pub(super) action_name: Option<String>,

@@ -3,6 +3,7 @@
 use hdrhistogram::Histogram;
 use sortie_core::wire::ActionMsg;
 use sortie_core::{NO_ACTION, UNASSIGNED};
+use sortie_ipc::HostProcess;
 
 use super::overview::{Agent, Percentiles, Standing};
 use super::window::Window;
@@ -87,7 +88,7 @@ impl Seat {
             (answers.asked > 0).then(|| (count as f64 / answers.asked as f64).min(1.0))
         };
         let at = |quantile| decide_ns.value_at_quantile(quantile) as f64 / 1e3;
-        let process = self.newest.map(|newest| newest.runner);
+        let runner = self.newest.map(|newest| HostProcess::of(newest.runner));
         // What it did in another episode is of no interest.
         let newest = self.newest.filter(|_| self.standing != Standing::Missing);
         let action = newest.map(|newest| newest.action);
@@ -95,7 +96,8 @@ impl Seat {
         let utility = newest.map(|newest| newest.q);
         Agent {
             standing: self.standing,
-            process,
+            process: runner.map(|runner| runner.pid),
+            host: runner.map(|runner| runner.host),
             action: action.filter(|action| *action != NO_ACTION),
             subtask: subtask.filter(|subtask| *subtask != UNASSIGNED),
             utility: utility.filter(|utility| utility.is_finite()),

@@ -6,7 +6,7 @@ use sortie_core::wire::{
     ActionMsg, AllocMsg, FrameFormat, FrameHeader, FrameKind, FrameView, Role, StatMsg,
 };
 use sortie_envs::Split;
-use sortie_ipc::{DomainFacts, Heard, model_text};
+use sortie_ipc::{DomainFacts, Heard, HostProcess, model_text};
 
 use super::overview::{Agent, Allocated, Moment, Overview, Process, Standing};
 use super::seat::Seat;
@@ -248,7 +248,8 @@ impl Team {
         told.sort_by_key(|it| (it.role, it.pid));
         let tell = |it: &StatMsg| Process {
             role: Role::from_number(it.role).map_or("process", Role::name),
-            pid: it.pid,
+            pid: HostProcess::of(it.pid).pid,
+            host: HostProcess::of(it.pid).host,
             agents: (0..self.seats.len()).filter(|agent| it.agents >> agent & 1 == 1).collect(),
             model: if it.model == [0; 16] { String::new() } else { model_text(it.model) },
             leads_in_term: self.leads(it).then(|| self.term(it)).flatten(),
