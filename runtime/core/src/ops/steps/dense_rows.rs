@@ -80,8 +80,11 @@ impl Operator for DenseRows {
             }
             return Ok(());
         }
-        let rows = from.chunks(inputs.saturating_mul(TOGETHER).max(1));
-        for (from, to) in rows.zip(to.chunks_mut(outputs.saturating_mul(TOGETHER).max(1))) {
+        // Not two lists of chunks in step, whose lengths are divided for: of those a path to a panic is left on boards.
+        let mut rest = to;
+        for from in from.chunks(inputs.saturating_mul(TOGETHER).max(1)) {
+            let several = outputs.saturating_mul(TOGETHER).min(rest.len());
+            let to = rest.split_off_mut(..several).ok_or(DecideError::BadLength)?;
             let pairs = from.chunks_exact(inputs.max(1)).zip(to.chunks_exact_mut(outputs.max(1)));
             let pairs = pairs.map(|(inputs, outputs)| Pair { inputs, outputs });
             let mut pairs: Vec<Pair<'_>, TOGETHER> = pairs.take(TOGETHER).collect();
