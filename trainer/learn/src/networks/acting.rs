@@ -11,7 +11,7 @@ use sortie_nn::tape::Tape;
 
 use super::agent::EntityAgent;
 use super::batch::EntityBatch;
-use crate::act::{Act, Scenes};
+use crate::act::{Act, Ask, Scenes};
 use crate::error::LearnError;
 use crate::export::{DeployedAgents, DeployedNetworks};
 
@@ -187,12 +187,7 @@ impl<'a> Greedy<'a> {
 }
 
 impl Act for Greedy<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
         self.acting.look(scenes);
         self.acting.choose(self.agents, self.weights, actions);
         Ok(())

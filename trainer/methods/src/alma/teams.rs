@@ -261,7 +261,7 @@ mod tests {
     use sortie_learn::play::evaluate;
     use sortie_learn::random::{Purpose, generator};
     use sortie_learn::subtasks::{AllocatedTeam, PolicyAgents, RuleAllocator};
-    use sortie_learn::{Act, Scene, Scenes};
+    use sortie_learn::{Act, Ask, Scene, Scenes};
 
     /// So large weights that whatever is seen decides what is done.
     fn network(environment: &dyn sortie_envs::Environment) -> UtilityNetwork {
@@ -303,7 +303,8 @@ mod tests {
             let scene = Scene { instance: 0, state: &state, begins: true, tasks_changed: false };
             let scenes = Scenes { environment: &*city, scenes: &[scene] };
             let mut actions = vec![0; slots];
-            team.act(&scenes, &mut [random.clone()], &mut actions).unwrap();
+            let random = &mut [random.clone()];
+            team.act(Ask { scenes: &scenes, random, actions: &mut actions }).unwrap();
             let thoughts = team.thoughts(&scenes, &actions);
             assert_eq!(thoughts.len(), if told { slots } else { 0 });
             let mut seen = Observation::default();
