@@ -2,7 +2,7 @@
 
 use sortie_envs::{Environment, Random, UNASSIGNED};
 use sortie_learn::configuration::require;
-use sortie_learn::export::{DeployedAgents, DeployedNetworks, Words};
+use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::learner::{Loss, Rules};
 use sortie_learn::networks::{chances, draw};
 use sortie_learn::random::{Purpose, generator};
@@ -227,8 +227,7 @@ impl Method for Allocator {
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
-        let networks = DeployedNetworks::Attention { network: self.agents.network(), memory: None };
-        Ok(DeployedAgents { networks, policy: Box::new(self.agents.clone()) })
+        Ok(self.agents.deployed())
     }
 
     fn words(&self) -> Words {
