@@ -1,9 +1,9 @@
 //! Watches an episode and keeps what its page shows.
 
 use serde::Serialize;
-use sortie_envs::{DecisionPoints, Environment, Random, Split};
+use sortie_envs::{DecisionPoints, Environment, Split};
 use sortie_learn::play::{Onlooker, Watched, watch};
-use sortie_learn::{Act, LearnError, Scenes};
+use sortie_learn::{Act, Ask, LearnError};
 use sortie_stage::{
     Cast, Event, Facts, Glance, Head, News, Opening, Player, Shown, StageError, State, Step,
     Thought, memory, result, rounded,
@@ -86,13 +86,13 @@ impl Captured {
 
 /// Tells what teams, bit a of which stands for agent a, are worth at an open subtask of a state; nothing where that is not
 /// known.
-type Ask<'a> =
+type ValueTeams<'a> =
     dyn FnMut(&dyn Environment, &[u8], usize, &[u64]) -> Result<Vec<f32>, LearnError> + 'a;
 
 /// Asks a network that values teams about those that are there, and about others.
 pub struct TeamValueProbe<'a> {
     /// The network.
-    pub ask: Box<Ask<'a>>,
+    pub ask: Box<ValueTeams<'a>>,
     /// Largest team that the allocator sends to one subtask.
     pub team_max: usize,
 }
@@ -139,13 +139,8 @@ impl<'a, T: Act + ?Sized> TeamLog<'a, T> {
 }
 
 impl<T: Act + ?Sized> Act for TeamLog<'_, T> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
-        self.team.act(scenes, random, actions)?;
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<(), LearnError> {
+        self.team.act(Ask { scenes, random, actions })?;
         let worlds = scenes.environment;
         self.slots = worlds.spec().shape.agents;
         let mut thoughts = self.team.thoughts(scenes, actions).into_iter().map(told);

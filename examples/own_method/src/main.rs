@@ -12,7 +12,7 @@ use sortie_learn::networks::{
 use sortie_learn::run::{Rates, Reports, RunConfig, RunDescription};
 use sortie_learn::session::{EnvironmentChoice, Session, Setup};
 use sortie_learn::trajectory::{Capacity, Future, Place, Trajectories, Widths};
-use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition, play};
+use sortie_learn::{Act, Ask, LearnError, Method, Now, State, Transition, play};
 use sortie_nn::tape::Parameters;
 
 const INSTANCES: usize = 16;
@@ -60,13 +60,7 @@ impl Independent {
 }
 
 impl Method for Independent {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>, _: Now) -> Result<(), LearnError> {
         let teams = scenes.generators(random).map(|random| (RATES.epsilon, random));
         self.acting.look(scenes);
         self.acting.explore((&self.agents, &self.learner.online.values), teams, actions);
@@ -78,14 +72,9 @@ impl Method for Independent {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
         if now.env_steps < 1_000 {
-            return Ok(());
+            return Ok(Reports::default());
         }
         let drawn: Vec<Place> = (0..64).map(|_| self.replay.draw(1, &mut self.random)).collect();
         let future = |place: &Place| self.replay.future(*place, 1, 0.9);
@@ -96,7 +85,7 @@ impl Method for Independent {
         let done = drawn.iter().flat_map(|place| self.replay.actions(*place));
         let done: Vec<u32> = done.map(|action| (*action).into()).collect();
         let agents = &self.agents;
-        reports.agents.push(self.learner.update(1, RATES.learning_rate, |shard| {
+        let report = self.learner.update(1, RATES.learning_rate, |shard| {
             let mut next = shard.spare.begin(shard.target);
             let utilities = agents.utilities(&mut next, &after, after.seen(), &mut []);
             let rows = next.values(utilities).chunks_exact(agents.shape.actions);
@@ -108,8 +97,8 @@ impl Method for Independent {
             let chosen = shard.pass.pick(utilities, &done);
             let share = 1.0 / done.len() as f32;
             Loss::of(&mut shard.pass, |pass| pass.squared_error(chosen, shard.space, share))
-        }));
-        Ok(())
+        });
+        Ok(Reports { agents: vec![report], ..Reports::default() })
     }
 
     fn rates(&self, _: Now) -> Rates {

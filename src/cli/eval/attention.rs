@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
-use sortie_envs::{EntitySet, Random, Spec};
-use sortie_learn::{Act, LearnError, Scenes, Thought};
+use sortie_envs::{EntitySet, Spec};
+use sortie_learn::{Act, Ask, LearnError, Thought};
 
 use crate::output::{Table, say};
 
@@ -101,13 +101,8 @@ impl<'a> Watching<'a> {
 }
 
 impl Act for Watching<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
-        self.team.act(scenes, random, actions)?;
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<(), LearnError> {
+        self.team.act(Ask { scenes, random, actions })?;
         let agents = scenes.environment.spec().shape.agents;
         let thoughts = self.team.thoughts(scenes, actions);
         for (scene, thoughts) in scenes.scenes.iter().zip(thoughts.chunks(agents)) {

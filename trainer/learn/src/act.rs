@@ -34,6 +34,17 @@ impl Scenes<'_> {
     }
 }
 
+/// What a team is asked to do.
+pub struct Ask<'a> {
+    /// In which it is to act.
+    pub scenes: &'a Scenes<'a>,
+    /// A generator for every instance, by its number.
+    pub random: &'a mut [Random],
+    /// `[scenes, A]`: what it does is written here, an available action of every agent that exists; what stands for others
+    /// does not matter.
+    pub actions: &'a mut [u16],
+}
+
 /// What an agent thinks in a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Thought {
@@ -60,18 +71,11 @@ pub struct Head {
 
 /// What chooses the actions of all agents, the best that it knows.
 pub trait Act {
-    /// Writes `[scenes, A]` an available action of every agent that exists; what stands for others does not matter.
-    ///
-    /// `random` holds a generator for every instance, by its number.
+    /// Writes the actions that it is asked for.
     ///
     /// # Errors
     /// The team cannot decide.
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError>;
+    fn act(&mut self, ask: Ask<'_>) -> Result<(), LearnError>;
 
     /// `[A]`: the subtask that each agent of an instance acted for last, 255 for none; empty where there are none.
     fn allocation(&self, instance: usize) -> &[u8] {

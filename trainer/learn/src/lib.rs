@@ -23,7 +23,7 @@ pub mod state;
 pub mod subtasks;
 pub mod trajectory;
 
-pub use act::{Act, Head, Scene, Scenes, Thought};
+pub use act::{Act, Ask, Head, Scene, Scenes, Thought};
 pub use error::LearnError;
 pub use learner::Learner;
 pub use method::{Method, Now, Transition};

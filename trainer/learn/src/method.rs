@@ -4,7 +4,7 @@ use std::path::Path;
 
 use sortie_envs::{Environment, Random, Step};
 
-use crate::act::{Act, Scenes};
+use crate::act::{Act, Ask};
 use crate::error::LearnError;
 use crate::export::{DeployedAgents, Words};
 use crate::run::checkpoint::OpenFor;
@@ -59,20 +59,11 @@ pub trait Method: Send {
         let _ = (instance, random);
     }
 
-    /// Writes `[scenes, A]` an available action of every agent that exists, trying things out; what stands for others
-    /// does not matter.
-    ///
-    /// `random` holds a generator for every instance, by its number.
+    /// Writes the actions that it is asked for, trying things out.
     ///
     /// # Errors
     /// The team cannot decide.
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        now: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError>;
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError>;
 
     /// Remembers a step, of all instances in turn.
     ///
@@ -80,19 +71,14 @@ pub trait Method: Send {
     /// It cannot be learned from.
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError>;
 
-    /// Makes the updates that are due, and adds what each of them found and how many decisions were made. Methods that learn from every step as they
-    /// remember it have none.
+    /// Makes the updates that are due; returns what each of them found and how many decisions were made. Methods that learn
+    /// from every step as they remember it have none.
     ///
     /// # Errors
     /// Learning cannot go on.
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
-        let _ = (environment, now, reports);
-        Ok(())
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
+        let _ = (environment, now);
+        Ok(Reports::default())
     }
 
     /// Exploration and learning rate.

@@ -12,7 +12,7 @@ use sortie_learn::play::{Play, evaluate};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{EpisodeCounts, Rates, Reports};
 use sortie_learn::session::{Opening, Setup};
-use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
+use sortie_learn::{Act, Ask, LearnError, Method, Now, State, Transition};
 use sortie_methods::ma_exp::MA_EXP;
 
 /// Training episodes that a mean is taken of.
@@ -39,14 +39,8 @@ impl Method for Watched {
         self.method.begins(instance, random);
     }
 
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        now: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
-        self.method.act(scenes, now, random, actions)
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError> {
+        self.method.act(ask, now)
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
@@ -58,13 +52,8 @@ impl Method for Watched {
         self.method.remember(transition)
     }
 
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
-        self.method.update(environment, now, reports)
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
+        self.method.update(environment, now)
     }
 
     fn rates(&self, now: Now) -> Rates {
@@ -109,12 +98,12 @@ fn learn(setup: &Setup, seed: u64) -> Result<Learned, LearnError> {
     let mut watched = Watched { method: MA_EXP.method(&opening)?, treasures: VecDeque::new() };
     let random = (0..choice.instances as u64).map(|index| generator(seed, Purpose::Rollout, index));
     let mut play = Play::new(&*world, &mut watched, random.collect());
-    let (mut counts, mut reports) = (EpisodeCounts::default(), Reports::default());
+    let mut counts = EpisodeCounts::default();
     let (mut env_steps, mut reached) = (0, None);
     while env_steps < setup.run.steps {
         let now = |env_steps| Now { env_steps, of: setup.run.steps };
         env_steps += play.round(&mut watched, now(env_steps), &mut counts)?;
-        watched.update(&*world, now(env_steps), &mut reports)?;
+        watched.update(&*world, now(env_steps))?;
         if reached.is_none() && watched.mean().is_some_and(|mean| mean >= most as f64 - 0.1) {
             reached = Some([env_steps as f64, processor() - started]);
         }

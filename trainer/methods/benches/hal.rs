@@ -11,7 +11,7 @@ use rustix::time::{ClockId, clock_gettime};
 use sortie_envs::Split;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::{EpisodeCounts, Reports};
+use sortie_learn::run::EpisodeCounts;
 use sortie_learn::session::Opening;
 use sortie_learn::{Method, Now};
 use sortie_methods::find;
@@ -50,7 +50,7 @@ fn seconds(name: &str, preset: &str, updates: u64) -> Result<[f64; 2], Box<dyn E
         let start = cpu_time();
         now.env_steps += play.round(&mut hal, now, &mut EpisodeCounts::default())?;
         let between = cpu_time();
-        hal.update(play.environment(), now, &mut Reports::default())?;
+        hal.update(play.environment(), now)?;
         if now.env_steps > warm {
             acting += between - start;
             learning += cpu_time() - between;

@@ -11,7 +11,7 @@ use std::error::Error;
 use sortie_envs::{Environment, Split};
 use sortie_learn::play::{Play, evaluate};
 use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::{EpisodeCounts, Reports};
+use sortie_learn::run::EpisodeCounts;
 use sortie_learn::session::Opening;
 use sortie_learn::{Method, Now};
 use sortie_methods::find;
@@ -51,7 +51,7 @@ fn learn(
     while now.env_steps < steps {
         let before = now.env_steps / every;
         now.env_steps += play.round(hal, now, &mut counts)?;
-        hal.update(play.environment(), now, &mut Reports::default())?;
+        hal.update(play.environment(), now)?;
         if now.env_steps / every > before {
             let share = counts.solved as f64 / counts.episodes.max(1) as f64;
             let team = hal.measured(MeasuredConfig::default());

@@ -14,7 +14,7 @@ use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
 use sortie_learn::trajectory::{End, Place};
-use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition, sections};
+use sortie_learn::{Act, Ask, LearnError, Method, Now, State, Transition, sections};
 use sortie_nn::schedule::linear;
 
 use crate::options::{
@@ -292,13 +292,8 @@ impl Dqn {
 }
 
 impl Method for Dqn {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        now: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError> {
+        let Ask { scenes, random, actions } = ask;
         let mut player = std::mem::take(&mut self.recorder.player);
         let epsilon = self.config.exploration.actions_at(now);
         let chances = MeasuredConfig { actions: epsilon, varied: false }.chances();
@@ -312,17 +307,13 @@ impl Method for Dqn {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
         let due = self.config.replay.due(self.config.exploration.first, now);
+        let mut reports = Reports::default();
         while self.agent.learner.updates() < due {
-            self.learn(environment, now, reports);
+            self.learn(environment, now, &mut reports);
         }
-        Ok(())
+        Ok(reports)
     }
 
     fn rates(&self, now: Now) -> Rates {

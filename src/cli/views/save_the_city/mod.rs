@@ -8,7 +8,7 @@ use sortie_envs::{DecisionPoints, Environment};
 use sortie_learn::play::{Onlooker, Watched};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::subtasks::{Allocate, AllocatedTeam, NoSubtasks};
-use sortie_learn::{Act, Scene, Scenes};
+use sortie_learn::{Act, Ask, Scene, Scenes};
 use sortie_pages::{Captured, Heading, StepLog, TeamLog};
 
 use super::probes::values_of;
@@ -131,9 +131,9 @@ fn play_again(
         state.clear();
         environment.save(0, &mut state);
         let scene = Scene { instance: 0, state: &state, begins, tasks_changed };
-        let scenes = Scenes { environment, scenes: &[scene] };
+        let scenes = &Scenes { environment, scenes: &[scene] };
         let mut chosen = vec![0; environment.spec().shape.agents];
-        log.act(&scenes, &mut unused, &mut chosen)?;
+        log.act(Ask { scenes, random: &mut unused, actions: &mut chosen })?;
         log.team.did(0, &actions);
         let Some(outcome) = playback.step().map_err(Failure::bug)? else { break };
         steps.stepped(watched(playback), &actions, &outcome)?;

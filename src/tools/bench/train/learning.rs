@@ -5,6 +5,7 @@ use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
+use sortie_learn::subtasks::ToAllocate;
 use sortie_methods::learners::records::team_value::TeamSearch;
 use sortie_methods::learners::records::{Allocator, Config, Moment, Records};
 use sortie_nn::random::Generator;
@@ -150,8 +151,9 @@ impl Learning {
         let agents = environment.spec().shape.agents;
         let place = allocator.segments.draw(1, random);
         let state = Moment::read(allocator.segments.state(place), agents).state;
-        let mut allocation = vec![0; agents];
-        search.allocate(allocator.online(), &**environment, state, random, &mut allocation)?;
+        let (environment, allocation) = (&**environment, &mut vec![0; agents][..]);
+        let to = ToAllocate { environment, state, random, allocation };
+        search.allocate(allocator.online(), to)?;
         std::hint::black_box(allocation);
         Ok(())
     }

@@ -3,12 +3,12 @@
 use std::cell::RefCell;
 
 use sortie_bundle::{GoldenAllocation, GoldenValue, OwnedAllocationState};
-use sortie_envs::{EntitySet, Environment, Random, SparseRows};
+use sortie_envs::{EntitySet, Environment, SparseRows};
 
 use super::recorder::{EPISODES, ROUNDS};
 use crate::error::LearnError;
 use crate::play::evaluate;
-use crate::subtasks::{Allocate, AllocatorNetworks, Subtasks, allocation_state_after};
+use crate::subtasks::{Allocate, AllocatorNetworks, Subtasks, ToAllocate, allocation_state_after};
 
 /// Golden allocations of a bundle.
 const CASES: usize = 48;
@@ -53,15 +53,10 @@ struct AllocationRecorder<'a> {
 }
 
 impl Allocate for AllocationRecorder<'_> {
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        random: &mut Random,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+        let ToAllocate { environment, state, random, allocation } = to;
         let before = allocation.to_vec();
-        self.allocator.allocate(environment, state, random, allocation)?;
+        self.allocator.allocate(ToAllocate { environment, state, random, allocation })?;
         self.allocations += 1;
         if self.allocations % STRIDE == 1 && self.cases.borrow().len() < CASES {
             let mut seen = allocation_state_after(environment, state, &before);

@@ -269,7 +269,7 @@ mod recurrent_tests {
         let text = "`gru.recurrent` has 8 values, the network's shape asks for 24";
         assert_eq!(error.to_string(), text);
         let error = export(|network| network.gru.input.bias = &[f32::INFINITY; 24]).unwrap_err();
-        assert_eq!(error, ExportError::NonFinite { tensor: "gru.input" });
+        assert_eq!(error, ExportError::NonFinite { tensor: "gru.input".to_owned() });
     }
 }
 
@@ -368,6 +368,6 @@ mod tests {
             Err(ExportError::Heads { heads: 0, width: 128 })
         );
         let error = export(|network| network.layers.fc1.bias = &[f32::NAN; 128]).unwrap_err();
-        assert_eq!(error, ExportError::NonFinite { tensor: "fc1" });
+        assert_eq!(error, ExportError::NonFinite { tensor: "fc1".to_owned() });
     }
 }

@@ -7,7 +7,7 @@ use sortie_nn::tape::Linear;
 use super::onnx::{Attribute, Graph};
 
 /// Stands for minus infinity among logits; the softmax of a row that holds nothing else stays finite.
-const BLOCKED: f32 = -1.0e30;
+pub const BLOCKED: f32 = -1.0e30;
 
 /// How a matrix is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,7 +115,7 @@ pub enum ExportError {
     #[error("`{tensor}` has {got} values, the network's shape asks for {want}")]
     WrongLength {
         /// The tensor.
-        tensor: &'static str,
+        tensor: String,
         /// Values asked for.
         want: usize,
         /// Values given.
@@ -125,7 +125,7 @@ pub enum ExportError {
     #[error("`{tensor}` holds a value that is not finite: the training diverged")]
     NonFinite {
         /// The tensor.
-        tensor: &'static str,
+        tensor: String,
     },
     /// The network takes other columns than the graph's inputs have.
     #[error("the network takes {got} columns, the graph has {want}")]
@@ -277,38 +277,17 @@ fn attention(
     let [query, key, value] =
         [0, 1, 2].map(|part| columns(&weights, 3 * width, part * width, width));
     let asking = graph.node("attention.own", "Gather", &[embedding, inputs.own], &[axis(0)]);
-    let split = graph.integers("attention.split", &[0, heads as i64, (width / heads) as i64]);
+    graph.integers("attention.split", &[0, heads as i64, (width / heads) as i64]);
     let mut heads_of = |name: &str, input: &str, weights: &[f32], order: &[i64]| {
         let weight = format!("{name}.weight");
         graph.floats(&weight, &[width, width], weights);
         let product = graph.node(name, "MatMul", &[input, &weight], &[]);
-        let heads = graph.node(&format!("{name}.heads"), "Reshape", &[&product, split], &[]);
-        graph.node(
-            &format!("{name}.ordered"),
-            "Transpose",
-            &[&heads],
-            &[Attribute::Ints("perm", order)],
-        )
+        by_heads(graph, &product, order)
     };
     let query = heads_of("attention.query", &asking, &query, &[1, 0, 2]);
     let key = heads_of("attention.key", embedding, &key, &[1, 2, 0]);
     let value = heads_of("attention.value", embedding, &value, &[1, 0, 2]);
-
-    let scale = 1.0 / ((width / heads) as f32).sqrt();
-    let scale = graph.floats("attention.scale", &[], &[scale]);
-    let blocked = graph.floats("attention.blocked", &[], &[BLOCKED]);
-    let nothing = graph.floats("attention.nothing", &[], &[0.0]);
-    let scores = graph.node("attention.scores", "MatMul", &[&query, &key], &[]);
-    let logits = graph.node("attention.logits", "Mul", &[&scores, scale], &[]);
-    let masked = graph.node("attention.masked", "Where", &[inputs.visible, &logits, blocked], &[]);
-    let shares = graph.node("attention.softmax", "Softmax", &[&masked], &[axis(-1)]);
-    let shares = graph.node("attention.weights", "Where", &[inputs.visible, &shares, nothing], &[]);
-
-    let mixed = graph.node("attention.mixed", "MatMul", &[&shares, &value], &[]);
-    let order = Attribute::Ints("perm", &[1, 0, 2]);
-    let mixed = graph.node("attention.mixed.ordered", "Transpose", &[&mixed], &[order]);
-    let join = graph.integers("attention.join", &[1, width as i64]);
-    let joined = graph.node("attention.joined", "Reshape", &[&mixed, join], &[]);
+    let joined = mixed(graph, [&query, &key, &value], inputs.visible, [1, width, heads]);
     let skip = match &network.skip {
         Some(skip) => {
             let weights = inputs_first("skip.weight", skip, [width, width])?;
@@ -322,10 +301,42 @@ fn attention(
     layer_with(graph, out, &joined, sizes, skip.as_deref())
 }
 
+/// Rows as `attention.split` cuts them into heads, turned.
+pub fn by_heads(graph: &mut Graph, rows: &str, order: &[i64]) -> String {
+    let heads = graph.node(&format!("{rows}.heads"), "Reshape", &[rows, "attention.split"], &[]);
+    let order = [Attribute::Ints("perm", order)];
+    graph.node(&format!("{rows}.ordered"), "Transpose", &[&heads], &order)
+}
+
+/// Values `[rows, E]` mixed by how queries and keys go together, all by heads, of what is visible. As many rows as queries,
+/// where 0 says how many.
+pub fn mixed(
+    graph: &mut Graph,
+    [query, key, value]: [&str; 3],
+    visible: &str,
+    [rows, width, heads]: [usize; 3],
+) -> String {
+    let scale = 1.0 / ((width / heads) as f32).sqrt();
+    let scale = graph.floats("attention.scale", &[], &[scale]);
+    let blocked = graph.floats("attention.blocked", &[], &[BLOCKED]);
+    let nothing = graph.floats("attention.nothing", &[], &[0.0]);
+    let scores = graph.node("attention.scores", "MatMul", &[query, key], &[]);
+    let logits = graph.node("attention.logits", "Mul", &[&scores, scale], &[]);
+    let masked = graph.node("attention.masked", "Where", &[visible, &logits, blocked], &[]);
+    let shares = graph.node("attention.softmax", "Softmax", &[&masked], &[axis(-1)]);
+    let shares = graph.node("attention.weights", "Where", &[visible, &shares, nothing], &[]);
+
+    let mixed = graph.node("attention.mixed", "MatMul", &[&shares, value], &[]);
+    let order = Attribute::Ints("perm", &[1, 0, 2]);
+    let mixed = graph.node("attention.mixed.ordered", "Transpose", &[&mixed], &[order]);
+    let join = graph.integers("attention.join", &[rows as i64, width as i64]);
+    graph.node("attention.joined", "Reshape", &[&mixed, join], &[])
+}
+
 /// `input W + b`.
 pub fn layer(
     graph: &mut Graph,
-    name: &'static str,
+    name: &str,
     input: &str,
     layer: &Layer<'_>,
     sizes: [usize; 2],
@@ -336,7 +347,7 @@ pub fn layer(
 /// `input W + added + b`, with weights and offsets that are so many times as large.
 fn layer_with(
     graph: &mut Graph,
-    (name, layer, factor): (&'static str, &Layer<'_>, f32),
+    (name, layer, factor): (&str, &Layer<'_>, f32),
     input: &str,
     [inputs, outputs]: [usize; 2],
     added: Option<&str>,
@@ -361,7 +372,7 @@ pub fn axis(axis: i64) -> Attribute<'static> {
 
 /// The matrix as `[inputs, outputs]`, so that no graph needs to transpose it.
 pub fn inputs_first<'a>(
-    tensor: &'static str,
+    tensor: &str,
     matrix: &Matrix<'a>,
     [inputs, outputs]: [usize; 2],
 ) -> Result<Cow<'a, [f32]>, ExportError> {
@@ -379,8 +390,8 @@ fn columns(values: &[f32], stride: usize, start: usize, count: usize) -> Vec<f32
 }
 
 /// Checks the size of a tensor, and that all its numbers are finite.
-pub fn check(tensor: &'static str, values: &[f32], want: usize) -> Result<(), ExportError> {
-    let got = values.len();
+pub fn check(tensor: &str, values: &[f32], want: usize) -> Result<(), ExportError> {
+    let (tensor, got) = (tensor.to_owned(), values.len());
     if got != want {
         return Err(ExportError::WrongLength { tensor, want, got });
     }

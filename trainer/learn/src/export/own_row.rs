@@ -78,8 +78,7 @@ impl OwnRowNetworks {
             (from, inputs) = self.add_number(&mut graph, network, [&from, AGENT_NUMBER]);
         }
         for (index, layer) in layers.iter().enumerate() {
-            let (name, tensors) = (format!("layer.{index}"), ["policy.weight", "policy.bias"]);
-            from = layer.add_to(&mut graph, &name, (&from, inputs), tensors)?;
+            from = layer.add_to(&mut graph, &format!("layer.{index}"), (&from, inputs))?;
             if index + 1 < layers.len() {
                 let slope = Attribute::Float("alpha", self.slope);
                 from = graph.node(&format!("hidden.{index}"), "LeakyRelu", &[&from], &[slope]);
@@ -140,12 +139,11 @@ impl DenseLayer {
         graph: &mut Graph,
         name: &str,
         (from, columns): (&str, usize),
-        tensors: [&'static str; 2],
     ) -> Result<String, ExportError> {
         let named = |what: &str| format!("{name}.{what}");
         let outputs = self.bias.len();
-        check(tensors[0], &self.weight, self.inputs * outputs)?;
-        check(tensors[1], &self.bias, outputs)?;
+        check(name, &self.weight, self.inputs * outputs)?;
+        check(name, &self.bias, outputs)?;
         let mut weight = self.turned();
         // A network that makes no difference between agents has no weights for their numbers.
         weight.resize(columns * outputs, 0.0);
@@ -242,7 +240,7 @@ fn add_hidden(graph: &mut Graph, layers: &[DenseLayer]) -> Result<String, Export
     // Changes nothing, and says what compilers of plans ask for: most of the columns are zero, none is below.
     let mut from = graph.node("lit", "Relu", &["shown"], &[]);
     for (index, layer) in layers.iter().enumerate() {
-        let sums = add_layer(graph, &format!("layer.{index}"), &from, layer)?;
+        let sums = layer.add_to(graph, &format!("layer.{index}"), (&from, layer.inputs))?;
         from = graph.node(&format!("hidden.{index}"), "Relu", &[&sums], &[]);
     }
     Ok(from)
@@ -253,17 +251,8 @@ fn add_layers(layers: &[DenseLayer; 3]) -> Result<(Graph, String, usize), Export
     let [first, _, head] = layers;
     let mut graph = begin(first);
     let hidden = add_hidden(&mut graph, &layers[..2])?;
-    let sums = add_layer(&mut graph, "head", &hidden, head)?;
+    let sums = head.add_to(&mut graph, "head", (&hidden, head.inputs))?;
     Ok((graph, sums, head.bias.len()))
-}
-
-fn add_layer(
-    graph: &mut Graph,
-    name: &str,
-    from: &str,
-    layer: &DenseLayer,
-) -> Result<String, ExportError> {
-    layer.add_to(graph, name, (from, layer.inputs), ["option.weight", "option.bias"])
 }
 
 /// Tables of answers, by agents, by what they hold, by places.

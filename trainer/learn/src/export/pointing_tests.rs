@@ -52,7 +52,10 @@ fn a_vector_of_another_width_is_refused() {
     pointing.query = Tensors(5).layer(8, 15);
     let agent = AgentNetwork { features: 6, append_last_action: true, contract: CONTRACT, layers };
     let refused = agent_onnx(&agent).unwrap_err();
-    assert_eq!(refused, ExportError::WrongLength { tensor: "pointing.query", want: 16, got: 15 });
+    assert_eq!(
+        refused,
+        ExportError::WrongLength { tensor: "pointing.query".to_owned(), want: 16, got: 15 }
+    );
 }
 
 #[test]

@@ -101,5 +101,8 @@ fn a_skip_of_another_width_is_refused() {
     layers.skip = Some(Tensors(1).matrix(16, 8));
     let agent = AgentNetwork { features: 6, append_last_action: true, contract: CONTRACT, layers };
     let refused = agent_onnx(&agent).unwrap_err();
-    assert_eq!(refused, ExportError::WrongLength { tensor: "skip.weight", want: 256, got: 128 });
+    assert_eq!(
+        refused,
+        ExportError::WrongLength { tensor: "skip.weight".to_owned(), want: 256, got: 128 }
+    );
 }

@@ -1,9 +1,7 @@
-//! Agents that act: greedy, or with chance, and as they are deployed.
+//! Agents that act: greedy, or with chance.
 
 use std::collections::BTreeMap;
 
-use sortie_core::choose::masked_argmax;
-use sortie_core::{DecideError, Decision, Policy};
 use sortie_envs::random::{chance, member, unit};
 use sortie_envs::{ActionSet, EntitySet, Observation, Random, members};
 use sortie_nn::layers::softmax;
@@ -11,9 +9,8 @@ use sortie_nn::tape::Tape;
 
 use super::agent::EntityAgent;
 use super::batch::EntityBatch;
-use crate::act::{Act, Scenes};
+use crate::act::{Act, Ask, Scenes};
 use crate::error::LearnError;
-use crate::export::{DeployedAgents, DeployedNetworks};
 
 /// The available action of the highest utility, the first of several.
 pub fn best(utilities: &[f32], available: ActionSet) -> usize {
@@ -187,127 +184,9 @@ impl<'a> Greedy<'a> {
 }
 
 impl Act for Greedy<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
         self.acting.look(scenes);
         self.acting.choose(self.agents, self.weights, actions);
         Ok(())
-    }
-}
-
-/// The agents as they are deployed.
-pub fn deployed<'a>(agents: &'a EntityAgent, weights: &'a [f32]) -> DeployedAgents<'a> {
-    let (network, memory) = agents.deployed(weights);
-    let networks = DeployedNetworks::Attention { network, memory };
-    DeployedAgents { networks, policy: Box::new(NetworkPolicy::new(agents, weights)) }
-}
-
-/// Decides with the trainer's own forward pass: what golden observations expect of every engine.
-struct NetworkPolicy<'a> {
-    agents: &'a EntityAgent,
-    weights: &'a [f32],
-    tape: Tape,
-    batch: EntityBatch,
-    seen: Observation,
-    /// Entities in the order in which they are looked at.
-    order: Vec<usize>,
-}
-
-/// The number of an entity that is not seen: the last that there can be, which no order reaches that lacks one.
-const UNSEEN: usize = EntitySet::BITS as usize - 1;
-
-impl<'a> NetworkPolicy<'a> {
-    fn new(agents: &'a EntityAgent, weights: &'a [f32]) -> Self {
-        let seen = Observation { available: vec![0], ..Observation::default() };
-        let (tape, batch, order) = (Tape::default(), EntityBatch::default(), Vec::new());
-        Self { agents, weights, tape, batch, seen, order }
-    }
-
-    /// The agent becomes the first entity and the only agent, what it sees follows.
-    fn look(&mut self, observation: &sortie_core::Observation<'_>) -> Result<(), DecideError> {
-        let own = observation.self_index;
-        let columns = self.agents.shape.looking.input;
-        let others = observation.visible.iter().filter(|entity| *entity != own);
-        self.seen.rows.clear();
-        self.order.clear();
-        self.order.extend(std::iter::once(own).chain(others));
-        for entity in self.order.iter().copied() {
-            let row = observation.rows.get(entity * observation.stride..);
-            let row = row.and_then(|row| row.get(..columns)).ok_or(DecideError::BadLength)?;
-            self.seen.rows.push_dense(row);
-        }
-        let all = EntitySet::MAX >> (EntitySet::BITS as usize - self.order.len());
-        (self.seen.present, self.seen.entities) = (all, all);
-        self.seen.observable.clear();
-        self.seen.observable.push(if observation.visible.contains(own) { all } else { all & !1 });
-        self.batch.clear();
-        self.batch.push(&self.seen);
-        // Who is not seen has no number here, and is beyond all that have.
-        let place = |entity| self.order.iter().position(|it| *it == entity).unwrap_or(UNSEEN);
-        let targets = self.agents.shape.targets;
-        self.batch.aim_at(targets.entities().map(place), targets.pairs());
-        self.batch.finish(false);
-        Ok(())
-    }
-}
-
-impl Policy for NetworkPolicy<'_> {
-    fn actions(&self) -> usize {
-        self.agents.shape.actions
-    }
-
-    fn utilities(
-        &mut self,
-        observation: &sortie_core::Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        self.utilities_with(observation, &mut [], utilities)
-    }
-
-    fn decide(
-        &mut self,
-        observation: &sortie_core::Observation<'_>,
-    ) -> Result<Decision, DecideError> {
-        self.decide_with(observation, &mut [])
-    }
-
-    fn hidden(&self) -> usize {
-        self.agents.shape.memory
-    }
-
-    fn utilities_with(
-        &mut self,
-        observation: &sortie_core::Observation<'_>,
-        hidden: &mut [f32],
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        let want = self.agents.shape.memory;
-        if hidden.len() != want {
-            return Err(DecideError::HiddenState { want, got: hidden.len() });
-        }
-        self.look(observation)?;
-        let Self { agents, batch, .. } = self;
-        let mut pass = self.tape.begin(self.weights);
-        let computed = agents.utilities(&mut pass, batch, batch.seen(), hidden);
-        let computed = pass.values(computed);
-        if computed.len() != utilities.len() {
-            return Err(DecideError::BadLength);
-        }
-        utilities.copy_from_slice(computed);
-        Ok(())
-    }
-
-    fn decide_with(
-        &mut self,
-        observation: &sortie_core::Observation<'_>,
-        hidden: &mut [f32],
-    ) -> Result<Decision, DecideError> {
-        let mut utilities = vec![0.0; self.actions()];
-        self.utilities_with(observation, hidden, &mut utilities)?;
-        masked_argmax(&utilities, observation.available)
     }
 }

@@ -127,7 +127,7 @@ impl EntityAgent {
     /// The network by these weights as it is deployed, and its memory.
     pub fn deployed<'a>(&self, values: &'a [f32]) -> (AttentionNetwork<'a>, Option<GruCell<'a>>) {
         let whole = |layer: Linear| Layer::of(layer, values, Layout::OutputsFirst);
-        let EntityAttention { embed, queries, keys_values, heads } = self.looking;
+        let EntityAttention { embed, queries, keys_values, heads, .. } = self.looking;
         let attention_in = queries.weight..keys_values.weight_range().end;
         let network = AttentionNetwork {
             inputs: embed.shape.input,

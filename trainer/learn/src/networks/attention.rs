@@ -31,6 +31,9 @@ pub struct EntityAttention {
     pub keys_values: Linear,
     /// Attention heads.
     pub heads: usize,
+    /// Whether queries absorb their keys, which comes to other last bits, where nothing is imagined and that takes fewer
+    /// multiplications.
+    pub absorbs: bool,
 }
 
 /// What queries have attended to.
@@ -63,7 +66,7 @@ impl EntityAttention {
         };
         let queries = part(width, weight);
         let keys_values = part(2 * width, weight + width * width);
-        Self { embed, queries, keys_values, heads }
+        Self { embed, queries, keys_values, heads, absorbs: false }
     }
 
     /// Attends to what a batch shows: queries are made of agents' rows only, keys and values of all.
@@ -77,13 +80,25 @@ impl EntityAttention {
             let queries = pass.linear(embeddings, self.queries);
             pass.gather(queries, view.own)
         };
-        let keys_values = pass.linear(embeddings, self.keys_values);
-        let output = if view.imagines {
-            pass.split_attention(queries, keys_values, view.lists)
+        let output = if self.absorbs && self.pays(view) {
+            pass.absorbed_attention(queries, embeddings, self.keys_values, view.lists, self.heads)
         } else {
-            pass.attention(queries, keys_values, view.lists, self.heads)
+            let keys_values = pass.linear(embeddings, self.keys_values);
+            match view.imagines {
+                true => pass.split_attention(queries, keys_values, view.lists),
+                false => pass.attention(queries, keys_values, view.lists, self.heads),
+            }
         };
         Attended { embeddings, output }
+    }
+
+    /// Whether queries had better absorb their keys. The products of whole matrices that keys and values allow are faster than
+    /// the sums over pairs, so pairs count twice.
+    fn pays(&self, view: View<'_>) -> bool {
+        let width = self.embed.shape.output;
+        let (matrix, pair) = (2 * width * width, 2 * self.heads * width);
+        let (rows, queries) = (view.rows.len(), view.queries());
+        !view.imagines && queries * matrix + 4 * view.lists.pairs() * pair < rows * matrix
     }
 }
 

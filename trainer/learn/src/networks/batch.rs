@@ -248,7 +248,7 @@ impl EntityBatch {
     }
 
     /// What aimed actions aim at in a view.
-    pub(super) fn aims(&self, view: View<'_>) -> AimView<'_> {
+    pub fn aims(&self, view: View<'_>) -> AimView<'_> {
         let repeats = self.imagines && !view.imagines;
         self.aims.part(if repeats { BLOCKS } else { 1 })
     }

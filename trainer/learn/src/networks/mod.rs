@@ -42,13 +42,15 @@ mod agent;
 mod aims;
 mod attention;
 mod batch;
+mod deployed;
 mod mixer;
 
-pub use acting::{Acting, Greedy, best, chances, deployed, draw, drawn};
+pub use acting::{Acting, Greedy, best, chances, draw, drawn};
 pub use agent::{AgentShape, EntityAgent};
 pub use aims::{AimView, AimedHead, Aims, Targets};
 pub use attention::{Attended, EntityAttention, LookShape};
 pub use batch::{EntityBatch, Moment, Teams, View};
+pub use deployed::{OwnPass, OwnView, deployed};
 pub use mixer::{Hypernetworks, Mixed, Mixer, MixerKind, MixerShape, WeightsSum};
 pub use sortie_nn::layers::split_attention::BLOCKS;
 

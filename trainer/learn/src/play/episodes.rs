@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use sortie_envs::{Environment, Episode, Random, Split, Step};
 
-use crate::act::{Act, Scene, Scenes};
+use crate::act::{Act, Ask, Scene, Scenes};
 use crate::error::LearnError;
 use crate::evaluate::Evaluation;
 
@@ -151,7 +151,8 @@ fn round(
     let agents = worlds.spec().shape.agents;
     let mut actions = vec![0; open.len() * agents];
     let scenes: Vec<Scene<'_>> = open.iter().map(Open::scene).collect();
-    team.act(&Scenes { environment: worlds, scenes: &scenes }, random, &mut actions)?;
+    let scenes = &Scenes { environment: worlds, scenes: &scenes };
+    team.act(Ask { scenes, random, actions: &mut actions })?;
     for (world, actions) in open.iter_mut().zip(actions.chunks_exact(agents)) {
         worlds.note_allocation(world.instance, team.allocation(world.instance));
         let step = worlds.step(world.instance, actions, &mut world.random)?;
@@ -232,12 +233,7 @@ mod tests {
     struct Begins(usize);
 
     impl Act for Begins {
-        fn act(
-            &mut self,
-            scenes: &Scenes<'_>,
-            _: &mut [Random],
-            actions: &mut [u16],
-        ) -> Result<(), LearnError> {
+        fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
             self.0 += scenes.scenes.iter().filter(|scene| scene.begins).count();
             actions.fill(1);
             Ok(())
@@ -248,12 +244,7 @@ mod tests {
     struct Wanders;
 
     impl Act for Wanders {
-        fn act(
-            &mut self,
-            scenes: &Scenes<'_>,
-            random: &mut [Random],
-            actions: &mut [u16],
-        ) -> Result<(), LearnError> {
+        fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<(), LearnError> {
             let actions = actions.chunks_exact_mut(actions.len() / scenes.scenes.len());
             for (random, actions) in scenes.generators(random).zip(actions) {
                 actions.fill_with(|| sortie_envs::random::below(random, 3) as u16);

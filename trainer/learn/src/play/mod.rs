@@ -10,7 +10,7 @@ use rand_core::Rng;
 use serde::{Deserialize, Serialize};
 use sortie_envs::{Environment, Random, Spec, Split, Step};
 
-use crate::act::{Scene, Scenes};
+use crate::act::{Ask, Scene, Scenes};
 use crate::error::LearnError;
 use crate::evaluate::metric_means;
 use crate::method::{Method, Now, Transition};
@@ -112,8 +112,9 @@ impl Play {
         let scenes: Vec<Scene<'_>> = running.map(scene).collect();
         self.actions.clear();
         self.actions.resize(scenes.len() * self.worlds.spec().shape.agents, 0);
-        let scenes = Scenes { environment: &*self.worlds, scenes: &scenes };
-        method.act(&scenes, now, &mut self.random, &mut self.actions)
+        let scenes = &Scenes { environment: &*self.worlds, scenes: &scenes };
+        let Self { random, actions, .. } = self;
+        method.act(Ask { scenes, random, actions }, now)
     }
 
     /// Steps an instance, whose actions stand at a place.
@@ -247,13 +248,7 @@ mod tests {
             self.told.push(instance);
         }
 
-        fn act(
-            &mut self,
-            scenes: &Scenes<'_>,
-            _: Now,
-            _: &mut [Random],
-            actions: &mut [u16],
-        ) -> Result<(), LearnError> {
+        fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>, _: Now) -> Result<(), LearnError> {
             let begun = scenes.scenes.iter().filter(|scene| scene.begins);
             self.seen.extend(begun.map(|scene| scene.instance));
             actions.fill(1);

@@ -12,7 +12,7 @@ use sortie_envs::random::{chance, generator, member};
 use sortie_envs::{Environment, Random, Split};
 
 use super::episodes::{WORLDS, finish};
-use crate::act::{Act, Scene, Scenes};
+use crate::act::{Act, Ask, Scene};
 use crate::error::LearnError;
 use crate::random::{Purpose, generator as stream};
 use crate::subtasks::AllocatedTeam;
@@ -144,12 +144,7 @@ fn best_of(rests: &[Rest], own: Rest) -> Option<usize> {
 }
 
 impl Act for Planner<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<(), LearnError> {
         for scene in scenes.scenes {
             let random = &mut random[scene.instance];
             if self.team.decide(scenes.environment, scene, random)? {

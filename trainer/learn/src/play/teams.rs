@@ -5,7 +5,7 @@ use sortie_core::{DecideError, EntityMask};
 use sortie_envs::random::{generator, member};
 use sortie_envs::{EntitySet, Observation, Random};
 
-use crate::act::{Act, Scenes};
+use crate::act::{Act, Ask, Scenes};
 use crate::error::LearnError;
 
 /// A deployed policy, agent by agent, on what each of them would see.
@@ -62,12 +62,7 @@ impl<P: Policy> PolicyTeam<P> {
 }
 
 impl<P: Policy> Act for PolicyTeam<P> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
         let shape = scenes.environment.spec().shape;
         for (scene, actions) in actions.chunks_exact_mut(shape.agents).enumerate() {
             self.look(scenes, scene);
@@ -113,12 +108,7 @@ impl RandomTeam {
 }
 
 impl Act for RandomTeam {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
         let agents = scenes.environment.spec().shape.agents;
         for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(agents)) {
             scenes.environment.observe(scene.state, 0, 0, &mut self.seen);

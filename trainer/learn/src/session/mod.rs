@@ -27,7 +27,7 @@ use crate::play::{self, Play};
 use crate::random::{Purpose, generator};
 use crate::run::checkpoint::{OpenFor, Written};
 use crate::run::{
-    Clock, Counters, CurvePoint, Meter, Observer, Outcome, Progress, Rates, Reports, RunConfig,
+    Clock, Counters, CurvePoint, Meter, Observer, Outcome, Progress, Rates, RunConfig,
     RunDescription, RunFolder, RunResult,
 };
 use crate::state::State;
@@ -235,8 +235,7 @@ impl Session {
         let steps = self.play.round(&mut *self.method, now, &mut window.episodes)?;
         self.counters.env_steps += steps;
         let now = self.now();
-        let mut reports = Reports::default();
-        self.method.update(self.play.environment(), now, &mut reports)?;
+        let reports = self.method.update(self.play.environment(), now)?;
         self.counters.window.add(reports, now.env_steps)?;
         observer.progress(&Progress { env_steps: now.env_steps, env_steps_total: now.of });
         Ok(())

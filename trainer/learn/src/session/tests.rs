@@ -1,22 +1,16 @@
 //! When a run measures, and on which episodes, told by a method that learns nothing.
 
 use super::*;
-use crate::act::{Act, Scenes};
+use crate::act::{Act, Ask};
 use crate::method::Transition;
 use crate::play::{RandomTeam, evaluate};
-use sortie_envs::{Random, Split};
+use sortie_envs::Split;
 
 /// Stays while it plays, and is measured by what it draws.
 struct Idle;
 
 impl Method for Idle {
-    fn act(
-        &mut self,
-        _: &Scenes<'_>,
-        _: Now,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { actions, .. }: Ask<'_>, _: Now) -> Result<(), LearnError> {
         actions.fill(1);
         Ok(())
     }

@@ -2,11 +2,9 @@
 
 use sortie_bundle::OwnedAllocationState;
 use sortie_core::{Allocator, EntityMask};
-use sortie_envs::{
-    ActionSet, EntitySet, Environment, Observation, Random, Spec, UNASSIGNED, members,
-};
+use sortie_envs::{ActionSet, EntitySet, Environment, Observation, Spec, UNASSIGNED, members};
 
-use super::Allocate;
+use super::{Allocate, ToAllocate};
 use crate::error::LearnError;
 
 /// One of the [rules](sortie_envs::Spec::rules) of an environment, by its name.
@@ -29,13 +27,8 @@ impl RuleAllocator<'_> {
 }
 
 impl Allocate for RuleAllocator<'_> {
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        random: &mut Random,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+        let ToAllocate { environment, state, random, allocation } = to;
         let rule = self.number(environment.spec()).map_err(LearnError::Team)?;
         environment.allocate(rule, state, random, allocation);
         Ok(())
@@ -47,13 +40,8 @@ impl Allocate for RuleAllocator<'_> {
 pub struct NoSubtasks;
 
 impl Allocate for NoSubtasks {
-    fn allocate(
-        &mut self,
-        _: &dyn Environment,
-        _: &[u8],
-        _: &mut Random,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+        let ToAllocate { allocation, .. } = to;
         allocation.fill(UNASSIGNED);
         Ok(())
     }
@@ -63,13 +51,8 @@ impl Allocate for NoSubtasks {
 pub struct DeployedAllocator<'a>(pub Box<dyn Allocator + 'a>);
 
 impl Allocate for DeployedAllocator<'_> {
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        _: &mut Random,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+        let ToAllocate { environment, state, allocation, .. } = to;
         // What is proposed may depend on what was in force.
         let state = allocation_state_after(environment, state, allocation);
         allocation.fill(UNASSIGNED);
@@ -156,7 +139,12 @@ mod tests {
         allocation[2] = 0;
         let mut noting = Noting::default();
         DeployedAllocator(Box::new(&mut noting))
-            .allocate(&*city, &state, &mut random, &mut allocation)
+            .allocate(ToAllocate {
+                environment: &*city,
+                state: &state,
+                random: &mut random,
+                allocation: &mut allocation,
+            })
             .unwrap();
         let mut want = vec![0; agents];
         (want[0], want[2]) = (0b1000, 0b1);

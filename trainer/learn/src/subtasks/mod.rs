@@ -78,20 +78,26 @@ pub trait Agents {
     }
 }
 
+/// Agents that are to be allocated.
+pub struct ToAllocate<'a> {
+    /// What observes their state.
+    pub environment: &'a dyn Environment,
+    /// Their state.
+    pub state: &'a [u8],
+    /// The generator of their episode.
+    pub random: &'a mut Random,
+    /// `[A]`: comes with what was in force; the subtask of every agent is written here, or
+    /// [`UNASSIGNED`](sortie_envs::UNASSIGNED).
+    pub allocation: &'a mut [u8],
+}
+
 /// What assigns agents to subtasks at decision points.
 pub trait Allocate {
-    /// Writes `[A]` the subtask of every agent, or [`UNASSIGNED`](sortie_envs::UNASSIGNED); `allocation` comes with what
-    /// was in force. `random` belongs to the episode.
+    /// Writes an allocation.
     ///
     /// # Errors
     /// The allocator does not fit the environment.
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        random: &mut Random,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError>;
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError>;
 
     /// What each of these teams, bit a of which stands for agent a, is worth at an open subtask; empty where it does not
     /// value them one by one.
@@ -115,14 +121,8 @@ pub trait Allocate {
 }
 
 impl<A: Allocate + ?Sized> Allocate for &mut A {
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        random: &mut Random,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
-        (**self).allocate(environment, state, random, allocation)
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+        (**self).allocate(to)
     }
 
     fn values(

@@ -2,8 +2,8 @@
 
 use sortie_envs::{Environment, Observation, Random};
 
-use super::{Agents, Allocate, Places};
-use crate::act::{Act, Scene, Scenes, Thought};
+use super::{Agents, Allocate, Places, ToAllocate};
+use crate::act::{Act, Ask, Scene, Scenes, Thought};
 use crate::error::LearnError;
 
 /// A team whose agents are allocated at decision points.
@@ -37,7 +37,8 @@ impl<'a> AllocatedTeam<'a> {
     ) -> Result<bool, LearnError> {
         let place = self.places.look(environment, scene);
         if place.is_due {
-            self.allocator.allocate(environment, scene.state, random, &mut place.allocation)?;
+            let (state, allocation) = (scene.state, &mut place.allocation[..]);
+            self.allocator.allocate(ToAllocate { environment, state, random, allocation })?;
             self.agents.advise(&place.seen, &mut place.strategies)?;
         }
         Ok(place.is_due)
@@ -72,12 +73,7 @@ impl<'a> AllocatedTeam<'a> {
 }
 
 impl Act for AllocatedTeam<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<(), LearnError> {
         for scene in scenes.scenes {
             self.decide(scenes.environment, scene, &mut random[scene.instance])?;
         }
@@ -129,18 +125,12 @@ mod tests {
     }
 
     impl<A: Allocate> Allocate for Noting<'_, A> {
-        fn allocate(
-            &mut self,
-            environment: &dyn Environment,
-            state: &[u8],
-            random: &mut Random,
-            allocation: &mut [u8],
-        ) -> Result<(), LearnError> {
+        fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
             let mut shown = self.1.borrow_mut();
             let states = shown.last_actions.len();
             shown.decided.resize(states, false);
             shown.decided.push(true);
-            self.0.allocate(environment, state, random, allocation)
+            self.0.allocate(to)
         }
     }
 
@@ -205,7 +195,8 @@ mod tests {
         for begins in [true, false] {
             scene.begins = begins;
             let scenes = Scenes { environment: &*city, scenes: &[scene] };
-            team.act(&scenes, &mut [random.clone()], &mut actions).unwrap();
+            let random = &mut [random.clone()];
+            team.act(Ask { scenes: &scenes, random, actions: &mut actions }).unwrap();
             team.did(0, &vec![3; actions.len()]);
         }
         drop(team);

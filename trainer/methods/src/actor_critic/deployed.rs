@@ -1,11 +1,11 @@
 //! Policies as they are deployed: graphs over an agent's own row, one for each group, with what is done to inputs taken into
 //! the first layer; and the trainer's own forward pass beside them.
 
-use sortie_core::choose::masked_argmax;
-use sortie_core::{DecideError, Decision, Policy};
+use sortie_core::{DecideError, Observation};
 use sortie_learn::export::{
     DenseLayer, DeployedAgents, DeployedNetworks, OwnRowNetwork, OwnRowNetworks,
 };
+use sortie_learn::networks::OwnPass;
 use sortie_nn::layers::normalise::EPSILON;
 use sortie_nn::tape::Tape;
 
@@ -13,10 +13,17 @@ use super::acting::{Actors, scores_of};
 
 /// The agents that these policies are, in teams with so many actions.
 pub(crate) fn deployed(actors: Actors<'_>, actions: usize) -> DeployedAgents<'_> {
-    DeployedAgents {
-        networks: DeployedNetworks::OwnRow(networks(actors)),
-        policy: Box::new(OwnPass { actors, tape: Tape::default(), actions }),
-    }
+    let mut tape = Tape::default();
+    let utilities = move |seen: &Observation<'_>, _: &mut [f32]| {
+        let agent = seen.self_index;
+        let row = seen.rows.get(agent * seen.stride..).unwrap_or_default();
+        let scores = scores_of(actors, &mut tape, agent, row);
+        let mut scores = scores.ok_or(DecideError::BadLength)?;
+        scores.resize(actions, 0.0);
+        Ok(scores)
+    };
+    let networks = DeployedNetworks::OwnRow(networks(actors));
+    DeployedAgents { networks, policy: Box::new(OwnPass { actions, memory: 0, utilities }) }
 }
 
 /// The layers of policies that act. What is done to their inputs is folded into the first.
@@ -51,42 +58,5 @@ fn fold(actors: Actors<'_>, index: usize, layer: &mut DenseLayer) {
             *weight = (f64::from(*weight) * factor) as f32;
         }
         *bias = sum as f32;
-    }
-}
-
-/// Decides with the trainer's own forward pass: what golden observations expect of every engine.
-struct OwnPass<'a> {
-    actors: Actors<'a>,
-    tape: Tape,
-    actions: usize,
-}
-
-impl Policy for OwnPass<'_> {
-    fn actions(&self) -> usize {
-        self.actions
-    }
-
-    fn utilities(
-        &mut self,
-        observation: &sortie_core::Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        let agent = observation.self_index;
-        let row = observation.rows.get(agent * observation.stride..).unwrap_or_default();
-        let scores = scores_of(self.actors, &mut self.tape, agent, row);
-        let scores = scores.ok_or(DecideError::BadLength)?;
-        utilities.fill(0.0);
-        let known = utilities.get_mut(..scores.len()).ok_or(DecideError::BadLength)?;
-        known.copy_from_slice(&scores);
-        Ok(())
-    }
-
-    fn decide(
-        &mut self,
-        observation: &sortie_core::Observation<'_>,
-    ) -> Result<Decision, DecideError> {
-        let mut utilities = vec![0.0; self.actions];
-        self.utilities(observation, &mut utilities)?;
-        masked_argmax(&utilities, observation.available)
     }
 }

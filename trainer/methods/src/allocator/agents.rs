@@ -2,10 +2,12 @@
 
 use std::ops::Range;
 
-use sortie_core::choose::masked_argmax;
-use sortie_core::{DecideError, Decision, Observation, Policy};
+use sortie_core::Observation;
 use sortie_envs::Spec;
-use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix, PointingHead};
+use sortie_learn::export::{
+    AttentionNetwork, DeployedAgents, DeployedNetworks, Layer, Layout, Matrix, PointingHead,
+};
+use sortie_learn::networks::OwnPass;
 
 /// Width of its embedding: all entities are alike.
 const WIDTH: usize = 4;
@@ -61,31 +63,20 @@ impl HeadingAgents {
             }),
         }
     }
-}
 
-impl Policy for HeadingAgents {
-    fn actions(&self) -> usize {
-        self.actions
+    /// What each of its actions is worth to an agent.
+    fn utilities(&self, seen: &Observation<'_>) -> Vec<f32> {
+        let mut utilities = vec![0.0; self.actions - self.targets.len()];
+        let visible = self.targets.clone().map(|target| seen.visible.contains(target));
+        utilities.extend(visible.map(|visible| f32::from(u8::from(visible))));
+        utilities
     }
 
-    fn utilities(
-        &mut self,
-        seen: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        let untargeted = self.actions - self.targets.len();
-        let (first, aimed) =
-            utilities.split_at_mut_checked(untargeted).ok_or(DecideError::BadLength)?;
-        first.fill(0.0);
-        for (utility, target) in aimed.iter_mut().zip(self.targets.clone()) {
-            *utility = f32::from(u8::from(seen.visible.contains(target)));
-        }
-        Ok(())
-    }
-
-    fn decide(&mut self, seen: &Observation<'_>) -> Result<Decision, DecideError> {
-        let mut utilities = vec![0.0; self.actions];
-        self.utilities(seen, &mut utilities)?;
-        masked_argmax(&utilities, seen.available)
+    /// The agents as they are deployed.
+    pub(super) fn deployed(&self) -> DeployedAgents<'_> {
+        let networks = DeployedNetworks::Attention { network: self.network(), memory: None };
+        let utilities = |seen: &Observation<'_>, _: &mut [f32]| Ok(self.utilities(seen));
+        let policy = Box::new(OwnPass { actions: self.actions, memory: 0, utilities });
+        DeployedAgents { networks, policy }
     }
 }

@@ -3,16 +3,13 @@
 use std::ops::Range;
 
 use sortie_learn::export::ExportError;
-use sortie_learn::export::attention::{Layout, Matrix, axis, check, inputs_first};
+use sortie_learn::export::attention::{BLOCKED, Layer, Layout, axis, inputs_first, layer};
 use sortie_learn::export::onnx::{Attribute, Dim, Element, Graph, metadata};
 use sortie_nn::layers::normalise::EPSILON;
 use sortie_nn::layers::split_attention::HEADS;
 use sortie_nn::tape::Linear;
 
-use super::network::{BOUND, Layer, Network};
-
-/// Stands for minus infinity among logits.
-const BLOCKED: f32 = -1.0e30;
+use super::network::{self, BOUND, Network};
 
 /// An end behind all others.
 const END: usize = i32::MAX as usize;
@@ -155,27 +152,21 @@ impl Writer<'_> {
 
     /// `x W + b`, without the offsets where there are none.
     fn dense(&mut self, name: &str, x: &str, linear: Linear) -> Result<String, ExportError> {
-        let (inputs, outputs) = (linear.shape.input, linear.shape.output);
-        let values = &self.weights[linear.weight_range()];
-        let matrix = Matrix { values, layout: Layout::OutputsFirst };
-        let values = inputs_first("allocator", &matrix, [inputs, outputs])?;
+        let sizes = [linear.shape.input, linear.shape.output];
+        let own = Layer::of(linear, self.weights, Layout::OutputsFirst);
+        if linear.bias.is_some() {
+            return layer(&mut self.graph, name, x, &own, sizes);
+        }
         let weight = format!("{name}.weight");
-        self.graph.floats(&weight, &[inputs, outputs], &values);
-        let Some(bias) = linear.bias_range() else {
-            return Ok(self.graph.node(name, "MatMul", &[x, &weight], &[]));
-        };
-        let (offsets, product) = (format!("{name}.bias"), format!("{name}.product"));
-        check("allocator", &self.weights[bias.clone()], outputs)?;
-        self.graph.floats(&offsets, &[outputs], &self.weights[bias]);
-        self.graph.node(&product, "MatMul", &[x, &weight], &[]);
-        Ok(self.graph.node(name, "Add", &[&product, &offsets], &[]))
+        self.graph.floats(&weight, &sizes, &inputs_first(name, &own.weight, sizes)?);
+        Ok(self.graph.node(name, "MatMul", &[x, &weight], &[]))
     }
 
-    /// What [`Layer`] makes of rows, by the attention of their queries.
+    /// What a [layer](network::Layer) makes of rows, by the attention of their queries.
     fn layer(
         &mut self,
         name: &str,
-        layer: &Layer,
+        layer: &network::Layer,
         x: &str,
         attention: impl FnOnce(&mut Self, &str, &str) -> String,
     ) -> Result<String, ExportError> {

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use sortie_envs::{Environment, Random, Spec, Split};
+use sortie_envs::{Environment, Spec, Split};
 use sortie_learn::LearnError;
 use sortie_learn::networks::best;
-use sortie_learn::subtasks::Allocate;
+use sortie_learn::subtasks::{Allocate, ToAllocate};
 
 use super::deciding::{Asked, Group, Seen};
 use super::network::Network;
@@ -69,13 +69,8 @@ impl<'a> Greedy<'a> {
 }
 
 impl Allocate for Greedy<'_> {
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        _: &mut Random,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+        let ToAllocate { environment, state, allocation, .. } = to;
         let given = if self.groups.len() == 1 {
             self.allocated(environment, (state, allocation), 0)
         } else if let Some(planned) = self.planned.remove(state) {

@@ -2,7 +2,7 @@
 
 use sortie_envs::{Environment, Random, UNASSIGNED};
 use sortie_learn::configuration::require;
-use sortie_learn::export::{DeployedAgents, DeployedNetworks, Words};
+use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::learner::{Loss, Rules};
 use sortie_learn::networks::{chances, draw};
 use sortie_learn::random::{Purpose, generator};
@@ -11,7 +11,7 @@ use sortie_learn::session::Opening;
 use sortie_learn::subtasks::{
     AllocatedTeam, AllocatorNetworks, LearnedAllocator, ScriptedAgents, Subtasks,
 };
-use sortie_learn::{Act, LearnError, Learner, Method, Now, Scenes, State, Transition};
+use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Transition};
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::tape::Pass;
 
@@ -140,13 +140,7 @@ impl Method for Allocator {
         *random = self.start.clone();
     }
 
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: Now,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>, _: Now) -> Result<(), LearnError> {
         let (environment, samples) = (scenes.environment, self.config.baseline.samples);
         let network = (&self.network, &*self.learner.online.values);
         let team = environment.spec().shape.agents;
@@ -185,31 +179,26 @@ impl Method for Allocator {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        _: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
+    fn update(&mut self, _: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
         let episodes = self.returns.len();
         if self.over < episodes {
-            return Ok(());
+            return Ok(Reports::default());
         }
         let advantages = self.advantages();
         let Self { config, network, learner, groups, .. } = self;
         let samples = config.baseline.samples;
         let rate = config.optimiser.learning_rate_at(now.env_steps, now.of);
         let (entropy, share) = (config.baseline.entropy, 1.0 / episodes as f32);
-        reports.decisions += groups.iter().map(|group| group.made.len() as u64).sum::<u64>();
-        reports.agents.push(learner.update(groups.len(), rate, |shard| {
+        let decisions = groups.iter().map(|group| group.made.len() as u64).sum();
+        let report = learner.update(groups.len(), rate, |shard| {
             let own = &advantages[shard.number * samples..][..samples];
             let group = &groups[shard.number];
             loss(&mut shard.pass, network, group, own, (entropy, share))
-        }));
+        });
         groups.iter_mut().for_each(Group::forget);
         self.returns.fill(0.0);
         self.over = 0;
-        Ok(())
+        Ok(Reports { agents: vec![report], decisions, ..Reports::default() })
     }
 
     fn rates(&self, now: Now) -> Rates {
@@ -238,8 +227,7 @@ impl Method for Allocator {
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
-        let networks = DeployedNetworks::Attention { network: self.agents.network(), memory: None };
-        Ok(DeployedAgents { networks, policy: Box::new(self.agents.clone()) })
+        Ok(self.agents.deployed())
     }
 
     fn words(&self) -> Words {

@@ -1,6 +1,5 @@
 //! Agents and allocators of ALMA as they are deployed, and what cards say of them.
 
-use sortie_core::Policy;
 use sortie_learn::LearnError;
 use sortie_learn::configuration::require;
 use sortie_learn::export::{DeployedAgents, DeployedNetworks, Words};
@@ -34,7 +33,7 @@ pub(super) fn deployed(
              own subtask (`network.subtask=mask`)"
         )));
     }
-    let policy: Box<dyn Policy + '_> = Box::new(NetworkPolicy::new(agents.network));
+    let policy = Box::new(NetworkPolicy::new(agents.network).deployed());
     let networks = DeployedNetworks::Attention { network: agents.network.layers(), memory: None };
     Ok(DeployedAgents { networks, policy })
 }

@@ -1,7 +1,6 @@
 //! What a team of ALMA is made of: who allocates, and agents that act in many worlds at once, alone, with a memory, or told
 //! strategies by a coach.
 
-use sortie_core::Policy;
 use sortie_envs::random::{chance, member};
 use sortie_envs::{Observation, UNASSIGNED};
 use sortie_learn::networks::best;
@@ -62,9 +61,8 @@ impl subtasks::Agents for NetworkAgents<'_> {
             views.look(scene);
             let slots = thoughts.len() + scene.allocation.len();
             for observation in views.observations() {
-                let mut scores = vec![0.0; policy.actions()];
                 // The rows are those that the network has just acted on.
-                policy.utilities(&observation, &mut scores).unwrap_or_default();
+                let scores = policy.utilities(&observation).unwrap_or_default();
                 let attention = policy.attention(&observation);
                 let attention = attention.map(|(entity, weights)| (entity, weights.to_vec()));
                 let attention = attention.collect();
@@ -142,7 +140,7 @@ impl Players {
         let Self { batch, tape, actors, remembered, operations, .. } = self;
         let mut t = tape.begin(network.parameters);
         let layers = UtilityLayers::of(shape);
-        let mut looked = layers.look(&mut t, batch.input());
+        let mut looked = layers.look(&mut t, batch.input().view());
         if coach.is_some() {
             let mut told = vec![0.0; actors.len() * shape.base];
             for (told, (scene, agent)) in told.chunks_exact_mut(shape.base).zip(&*actors) {
@@ -156,7 +154,7 @@ impl Players {
         if let Some(unit) = unit {
             looked.base = t.gru(looked.base, unit, &vec![true; actors.len()], remembered);
         }
-        let utilities = layers.head(&mut t, looked, batch.input());
+        let utilities = layers.head(&mut t, looked, batch.input().aims.all());
         *operations += t.operations(false);
         let rows = t.values(utilities).chunks_exact(shape.actions);
         for ((scene, agent), utilities) in actors.iter().zip(rows) {
@@ -261,7 +259,7 @@ mod tests {
     use sortie_learn::play::evaluate;
     use sortie_learn::random::{Purpose, generator};
     use sortie_learn::subtasks::{AllocatedTeam, PolicyAgents, RuleAllocator};
-    use sortie_learn::{Act, Scene, Scenes};
+    use sortie_learn::{Act, Ask, Scene, Scenes};
 
     /// So large weights that whatever is seen decides what is done.
     fn network(environment: &dyn sortie_envs::Environment) -> UtilityNetwork {
@@ -284,7 +282,8 @@ mod tests {
         };
         let agents = Agents::new(network.view());
         let by_network = play(Box::new(NetworkAgents::new(agents, Conditioning::Mask)));
-        let by_policy = play(Box::new(PolicyAgents::new(NetworkPolicy::new(network.view()))));
+        let by_policy =
+            play(Box::new(PolicyAgents::new(NetworkPolicy::new(network.view()).deployed())));
         assert_eq!(by_network, by_policy);
         assert!(by_network.length_mean > 10.0);
     }
@@ -303,7 +302,8 @@ mod tests {
             let scene = Scene { instance: 0, state: &state, begins: true, tasks_changed: false };
             let scenes = Scenes { environment: &*city, scenes: &[scene] };
             let mut actions = vec![0; slots];
-            team.act(&scenes, &mut [random.clone()], &mut actions).unwrap();
+            let random = &mut [random.clone()];
+            team.act(Ask { scenes: &scenes, random, actions: &mut actions }).unwrap();
             let thoughts = team.thoughts(&scenes, &actions);
             assert_eq!(thoughts.len(), if told { slots } else { 0 });
             let mut seen = Observation::default();

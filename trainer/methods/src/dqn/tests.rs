@@ -7,7 +7,7 @@ use sortie_learn::run::EpisodeCounts;
 use sortie_learn::session::Setup;
 
 use super::*;
-use crate::options::naive::{Moment, at, greedy, kept, values};
+use crate::options::tests::{Moment, at, greedy, kept, values};
 
 /// Short episodes of iron, drawn actions, and an agent that has seen so many steps of each of four instances.
 fn played(steps: u64, assignments: &[&str]) -> (Dqn, Box<dyn Environment>) {

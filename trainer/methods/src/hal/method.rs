@@ -6,7 +6,7 @@ use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
+use sortie_learn::{Act, Ask, LearnError, Method, Now, State, Transition};
 
 use super::affordances::{Classes, Classifier, Population, Source};
 use super::lessons::Update;
@@ -163,13 +163,8 @@ impl Hal {
 }
 
 impl Method for Hal {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        now: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError> {
+        let Ask { scenes, random, actions } = ask;
         let exploration = &self.config.exploration;
         let [goals, afforded] = exploration.goals_at(self.config.affordances.mask, now);
         let actions_chance = exploration.actions_at(now);
@@ -198,17 +193,13 @@ impl Method for Hal {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
         let due = self.config.replay.due(self.config.exploration.first, now);
+        let mut reports = Reports::default();
         while self.updates < due {
-            self.learn(environment, now, reports);
+            self.learn(environment, now, &mut reports);
         }
-        Ok(())
+        Ok(reports)
     }
 
     fn rates(&self, now: Now) -> Rates {

@@ -11,7 +11,7 @@ use sortie_nn::tape::Tape;
 
 use super::lessons::Update;
 use super::{AffordancesConfig, Config, MetaConfig, ReturnsConfig};
-use crate::options::naive::{Moment, at, greedy, keep, kept, values, world};
+use crate::options::tests::{Moment, at, greedy, keep, kept, values, world};
 use crate::options::{
     Finished, Lesson, Mask, NONE, Note, OptionPlace, QNetwork, Replay, ReplayConfig, course,
     returns,

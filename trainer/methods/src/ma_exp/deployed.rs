@@ -1,9 +1,9 @@
 //! The agents as they are deployed: a table of what to do where, and what the trainer itself answers.
 
-use sortie_core::choose::masked_argmax;
-use sortie_core::{DecideError, Decision, Observation, Policy};
+use sortie_core::{DecideError, Observation};
 use sortie_envs::SparseRows;
 use sortie_learn::export::{DeployedAgents, DeployedNetworks, LookupTables};
+use sortie_learn::networks::OwnPass;
 
 use super::learner::Learner;
 use super::table::ACTIONS;
@@ -11,9 +11,20 @@ use crate::novelty::{CELLS, Columns, PITS, Place};
 
 /// The agents of a team that has learned so much.
 pub(super) fn deployed<'a>(learner: &'a Learner, columns: &'a Columns) -> DeployedAgents<'a> {
+    let mut rows = SparseRows::default();
+    let utilities = move |seen: &Observation<'_>, _: &mut [f32]| {
+        let agent = seen.self_index;
+        let row = seen.rows.get(agent * seen.stride..).and_then(|rows| rows.get(..seen.stride));
+        let row = row.filter(|_| agent < learner.tables.len());
+        rows.clear();
+        rows.push_dense(row.ok_or(DecideError::BadLength)?);
+        let place = columns.place(&rows, 0);
+        Ok(learner.utilities(agent, Some(place), learner.deployed()).to_vec())
+    };
+    let networks = DeployedNetworks::Lookup(tables(learner, columns));
     DeployedAgents {
-        networks: DeployedNetworks::Lookup(tables(learner, columns)),
-        policy: Box::new(OwnTables { learner, columns, rows: SparseRows::default() }),
+        networks,
+        policy: Box::new(OwnPass { actions: ACTIONS, memory: 0, utilities }),
     }
 }
 
@@ -66,42 +77,5 @@ fn tables(learner: &Learner, columns: &Columns) -> LookupTables {
         answers,
         agents: learner.tables.len(),
         actions: ACTIONS,
-    }
-}
-
-/// Decides by the trainer's own tables: what golden observations expect of every engine.
-struct OwnTables<'a> {
-    learner: &'a Learner,
-    columns: &'a Columns,
-    rows: SparseRows,
-}
-
-impl Policy for OwnTables<'_> {
-    fn actions(&self) -> usize {
-        ACTIONS
-    }
-
-    fn utilities(
-        &mut self,
-        observation: &Observation<'_>,
-        utilities: &mut [f32],
-    ) -> Result<(), DecideError> {
-        let agent = observation.self_index;
-        let Observation { rows, stride, .. } = observation;
-        let row = rows.get(agent * stride..).and_then(|rows| rows.get(..*stride));
-        let row = row.filter(|_| agent < self.learner.tables.len());
-        self.rows.clear();
-        self.rows.push_dense(row.ok_or(DecideError::BadLength)?);
-        let place = self.columns.place(&self.rows, 0);
-        let known = utilities.get_mut(..ACTIONS).ok_or(DecideError::BadLength)?;
-        let version = self.learner.deployed();
-        known.copy_from_slice(&self.learner.utilities(agent, Some(place), version));
-        Ok(())
-    }
-
-    fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
-        let mut utilities = [0.0; ACTIONS];
-        self.utilities(observation, &mut utilities)?;
-        masked_argmax(&utilities, observation.available)
     }
 }

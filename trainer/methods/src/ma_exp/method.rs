@@ -7,7 +7,9 @@ use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::by_weight;
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{Act, Head, LearnError, Method, Now, Scene, Scenes, State, Thought, Transition};
+use sortie_learn::{
+    Act, Ask, Head, LearnError, Method, Now, Scene, Scenes, State, Thought, Transition,
+};
 
 use super::Config;
 use super::deployed::deployed;
@@ -125,13 +127,8 @@ impl Method for MaExp {
         }
     }
 
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        now: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError> {
+        let Ask { scenes, random, actions } = ask;
         self.exploits = now.env_steps as f64 >= self.config.heads.until * now.of as f64;
         let epsilon = f64::from(self.epsilon());
         let Self { rules, columns, learner, running, seen, .. } = self;
@@ -183,12 +180,12 @@ impl Method for MaExp {
         Ok(())
     }
 
-    fn update(&mut self, _: &dyn Environment, now: Now, _: &mut Reports) -> Result<(), LearnError> {
+    fn update(&mut self, _: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
         if now.env_steps >= self.next_sweep || now.env_steps >= now.of {
             self.next_sweep = now.env_steps + self.config.values.sweep_every;
             self.learner.back_up_all(&self.rules);
         }
-        Ok(())
+        Ok(Reports::default())
     }
 
     fn rates(&self, _: Now) -> Rates {
@@ -220,12 +217,7 @@ struct Greedy<'a> {
 }
 
 impl Act for Greedy<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
         let Self { team, seen, places } = self;
         let (learner, mut actions) = (&team.learner, actions.iter_mut());
         for scene in scenes.scenes {

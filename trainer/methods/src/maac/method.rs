@@ -5,7 +5,7 @@ use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Thought, Transition};
+use sortie_learn::{Act, Ask, LearnError, Method, Now, Scenes, State, Thought, Transition};
 
 use super::Config;
 use super::attention::thoughts;
@@ -65,13 +65,7 @@ impl Method for Maac {
         self.config.replay.on_policy
     }
 
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>, _: Now) -> Result<(), LearnError> {
         let Self { config, learner, experience, .. } = self;
         let actors = config.actors(learner, &learner.policy_learner.online.values);
         experience.act(actors, scenes, random, actions);
@@ -83,12 +77,7 @@ impl Method for Maac {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
         let rule = &self.config.replay;
         let due = match now.env_steps.checked_sub(self.first) {
             None => 0,
@@ -96,13 +85,14 @@ impl Method for Maac {
             Some(steps) => steps / rule.steps_per_period * rule.updates_per_period,
         };
         let entropy = self.config.entropy.at(now.env_steps);
+        let mut reports = Reports::default();
         while self.updates < due {
             self.updates += 1;
             let Self { config, learner, experience, random, batch, .. } = self;
             experience.gather(environment, config, learner, random, batch);
             reports.agents.push(learner.update(batch, entropy, random));
         }
-        Ok(())
+        Ok(reports)
     }
 
     fn rates(&self, _: Now) -> Rates {
@@ -132,12 +122,7 @@ struct Greedy<'a> {
 }
 
 impl Act for Greedy<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
         self.acting.act(self.maac.measured(), scenes, None, actions);
         Ok(())
     }
@@ -185,7 +170,8 @@ mod tests {
                 Scene { instance: 0, state: &state, begins: step == 0, tasks_changed: false };
             let scenes = Scenes { environment: &*world, scenes: &[scene] };
             let mut actions = [0; 4];
-            maac.act(&scenes, Now::default(), &mut random, &mut actions).unwrap();
+            let ask = Ask { scenes: &scenes, random: &mut random, actions: &mut actions };
+            maac.act(ask, Now::default()).unwrap();
             let first = step % INTERVAL == 0;
             if first {
                 held = actions.to_vec();
@@ -237,7 +223,8 @@ mod tests {
         while env_steps < 400 + 40 * periods {
             let now = Now { env_steps, of: 1000 };
             env_steps += play.round(&mut maac, now, &mut counts).unwrap();
-            maac.update(&*world, Now { env_steps, of: 1000 }, &mut reports).unwrap();
+            let found = maac.update(&*world, Now { env_steps, of: 1000 });
+            reports.agents.extend(found.unwrap().agents);
         }
         (maac, reports, world)
     }
@@ -320,7 +307,7 @@ mod tests {
         let scene = Scene { instance: 0, state: &state, begins: true, tasks_changed: false };
         let scenes = Scenes { environment: &*world, scenes: &[scene] };
         let (mut team, mut actions) = (maac.team(), [0; 2]);
-        team.act(&scenes, &mut [], &mut actions).unwrap();
+        team.act(Ask { scenes: &scenes, random: &mut [], actions: &mut actions }).unwrap();
         let thoughts = team.thoughts(&scenes, &actions);
         assert_eq!(thoughts.len(), 2);
         for (thought, action) in thoughts.iter().zip(actions) {

@@ -1,8 +1,8 @@
 //! Agents that act by their policy: as it draws, or the best that they know.
 
-use sortie_envs::{ActionSet, Random, members};
+use sortie_envs::{ActionSet, members};
 use sortie_learn::networks::best;
-use sortie_learn::{Act, LearnError, Scenes};
+use sortie_learn::{Act, Ask, LearnError, Scenes};
 use sortie_nn::tape::Tape;
 
 use super::networks::{Network, Shown};
@@ -58,12 +58,7 @@ pub(super) struct Greedy<'a> {
 }
 
 impl Act for Greedy<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
         self.acting.act(self.network, scenes, actions, |scores, open, _| best(scores, open));
         Ok(())
     }

@@ -9,9 +9,7 @@ use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::session::Opening;
 use sortie_learn::trajectory::{Capacity, End, Place, Widths};
-use sortie_learn::{
-    Act, LearnError, Learner, Method, Now, Scenes, State, Trajectories, Transition,
-};
+use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Trajectories, Transition};
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::layers::normalise::Moments;
 use sortie_nn::schedule::linear;
@@ -177,13 +175,7 @@ fn fill_in(team: &mut [f32]) {
 }
 
 impl Method for Mappo {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>, _: Now) -> Result<(), LearnError> {
         let network = (&self.actor, &*self.policy.online.values);
         self.acting.act(network, scenes, actions, |scores, open, instance| {
             draw(scores, open, &mut random[instance])
@@ -201,19 +193,15 @@ impl Method for Mappo {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
+        let mut reports = Reports::default();
         if self.steps == self.config.rollout.steps * self.instances {
-            self.learn(environment, now, reports);
+            self.learn(environment, now, &mut reports);
             let agents = environment.spec().shape.agents;
             self.rollout = nothing(&self.config, self.instances, agents);
             self.steps = 0;
         }
-        Ok(())
+        Ok(reports)
     }
 
     fn rates(&self, now: Now) -> Rates {

@@ -7,7 +7,8 @@ use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::trajectory::{Capacity, Widths};
 use sortie_learn::{
-    Act, Head, LearnError, Method, Now, Scene, Scenes, State, Thought, Trajectories, Transition,
+    Act, Ask, Head, LearnError, Method, Now, Scene, Scenes, State, Thought, Trajectories,
+    Transition,
 };
 use sortie_nn::tape::Tape;
 
@@ -196,13 +197,7 @@ impl Method for MultiExplore {
         self.episodes[instance] = Discounted::default();
     }
 
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>, _: Now) -> Result<(), LearnError> {
         for scene in scenes.scenes.iter().filter(|scene| scene.begins) {
             self.visit(scenes.environment, scene.state);
         }
@@ -229,24 +224,20 @@ impl Method for MultiExplore {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
         self.add_moments();
         let rule = &self.config.replay;
         let steps = now.env_steps.saturating_sub(self.first);
         let due = steps / rule.steps_per_period * rule.updates_per_period;
         let entropy = self.config.returns.entropy;
+        let mut reports = Reports::default();
         while self.updates < due {
             self.updates += 1;
             self.gather(environment);
             let Self { learner, batch, random, .. } = self;
             reports.agents.push(learner.update(batch, entropy, random));
         }
-        Ok(())
+        Ok(reports)
     }
 
     fn rates(&self, _: Now) -> Rates {
@@ -283,12 +274,7 @@ struct Greedy<'a> {
 }
 
 impl Act for Greedy<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        _: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
         self.acting.act(self.actors, scenes, None, actions);
         Ok(())
     }
@@ -337,7 +323,7 @@ mod tests {
         let mut now = Now { env_steps: 0, of: 10_000 };
         while now.env_steps < steps {
             now.env_steps += play.round(&mut method, now, &mut counts).unwrap();
-            method.update(&*world, now, &mut reports).unwrap();
+            reports.agents.extend(method.update(&*world, now).unwrap().agents);
         }
         (method, reports, now.env_steps)
     }
@@ -413,7 +399,8 @@ mod tests {
         let scene = Scene { instance: 0, state: &state, begins: true, tasks_changed: false };
         let scenes = Scenes { environment: &*world, scenes: &[scene] };
         let (mut team, mut actions) = (method.team(), [0; 2]);
-        team.act(&scenes, &mut [generator(1, Purpose::Rollout, 8)], &mut actions).unwrap();
+        let random = &mut [generator(1, Purpose::Rollout, 8)];
+        team.act(Ask { scenes: &scenes, random, actions: &mut actions }).unwrap();
         let thoughts = team.thoughts(&scenes, &actions);
         assert_eq!(thoughts.len(), 2);
         assert_eq!(team.visits()[1].iter().sum::<u32>(), 120 + 3);

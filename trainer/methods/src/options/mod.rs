@@ -2,11 +2,11 @@
 
 mod deployed;
 mod learning;
-#[cfg(test)]
-pub(crate) mod naive;
 mod play;
 mod replay;
 mod returns;
+#[cfg(test)]
+pub(crate) mod tests;
 
 use serde::Serialize;
 use sortie_envs::{Spec, View};

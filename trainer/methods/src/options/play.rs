@@ -5,7 +5,7 @@ use sortie_core::options::{least_missed, view_of};
 use sortie_envs::random::{below, chance, unit};
 use sortie_envs::{EntitySet, Environment, Observation, Random};
 use sortie_learn::trajectory::Place;
-use sortie_learn::{Act, LearnError, Scene, Scenes, State, Transition, words};
+use sortie_learn::{Act, Ask, LearnError, Scene, Scenes, State, Transition, words};
 
 use super::replay::{Finished, NONE, Note, Replay};
 use crate::pictures::{Network, Shown, Space, best};
@@ -331,12 +331,7 @@ impl<'a> Measured<'a> {
 }
 
 impl Act for Measured<'_> {
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<(), LearnError> {
         self.player.act(self.actors, scenes, self.chances, random, actions);
         self.count_masks(scenes);
         Ok(())

@@ -251,13 +251,13 @@ impl ByPriority {
 mod tests {
     use std::collections::BTreeSet;
 
-    use super::super::naive::{self, keep};
     use super::*;
+    use crate::options::tests::{keep, world};
 
     /// Options of three steps, `steps` states of one instance of two in all.
     fn played(kept: usize, options_kept: usize, steps: u32) -> Replay {
         let mut replay = Replay::new(2, kept, 2).by_priority(0.5, options_kept);
-        let (world, mut start) = (naive::world(), Place::default());
+        let (world, mut start) = (world(), Place::default());
         for time in 0..steps {
             let note = Note { reached: NONE, ends_option: time % 3 == 2, ..Note::default() };
             let place = keep(&mut replay, &*world, (1, &[time as u8]), (0, note), End::Open);
@@ -316,7 +316,7 @@ mod tests {
     /// Every second state is one that an episode ended in, and takes the place of a step once the ring is full.
     #[test]
     fn states_in_which_nothing_was_done_are_not_drawn_by_priorities() {
-        let (mut replay, world) = (Replay::new(1, 5, 2).by_priority(0.5, 3), naive::world());
+        let (mut replay, world) = (Replay::new(1, 5, 2).by_priority(0.5, 3), world());
         let mut random = sortie_envs::random::generator(1);
         for number in 0..20 {
             let note = Note { reached: NONE, ends_option: true, ..Note::default() };

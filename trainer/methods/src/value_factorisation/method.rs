@@ -11,9 +11,7 @@ use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::session::Opening;
 use sortie_learn::trajectory::{Capacity, Episode, Place, Widths};
-use sortie_learn::{
-    Act, LearnError, Learner, Method, Now, Scenes, State, Trajectories, Transition,
-};
+use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Trajectories, Transition};
 
 use super::loss::{Lesson, Networks};
 use super::{Config, ReplayConfig, ReturnsConfig, Unit};
@@ -226,13 +224,8 @@ impl Method for ValueFactorisation {
         self.config.replay.unit == Unit::Episodes
     }
 
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        now: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError> {
+        let Ask { scenes, random, actions } = ask;
         let exploration = &self.config.exploration;
         let epsilon = exploration.epsilon_at(now.env_steps);
         let factor = |instance: usize| exploration.spread[instance % exploration.spread.len()];
@@ -249,12 +242,7 @@ impl Method for ValueFactorisation {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
         let due = match self.config.replay.steps_per_update {
             0 => self.replay.finished(),
             every => now.env_steps.saturating_sub(self.first) / every,
@@ -262,13 +250,14 @@ impl Method for ValueFactorisation {
         let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
         let ReplayConfig { unit, batch, .. } = self.config.replay;
         let has_batch = unit == Unit::Steps || self.replay.episodes() >= batch;
+        let mut reports = Reports::default();
         while self.due < due {
             self.due += 1;
             if has_batch {
                 reports.agents.push(self.learn(environment, learning_rate));
             }
         }
-        Ok(())
+        Ok(reports)
     }
 
     fn rates(&self, now: Now) -> Rates {
@@ -391,7 +380,7 @@ mod tests {
         for (env_steps, copied) in [(13, false), (14, false), (15, true), (16, false)] {
             let now = Now { env_steps, of: 100 };
             let mut reports = Reports::default();
-            method.update(&*ring, now, &mut reports).unwrap();
+            reports.agents.extend(method.update(&*ring, now).unwrap().agents);
             assert_eq!(reports.agents.len(), 1, "{env_steps}");
             let Learner { online, target, .. } = &method.learner;
             assert_eq!(*target == online.values, copied, "{env_steps}");

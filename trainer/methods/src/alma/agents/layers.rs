@@ -1,9 +1,7 @@
-//! The layers of agents on a tape: entities embedded and looked at, which coach and recognition begin with too, and the
-//! utility network behind them.
+//! The utility network on a tape, and what it looks at.
 
 use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix};
-use sortie_learn::networks::{Aims, View};
-use sortie_nn::layers::attention::AttentionShape;
+use sortie_learn::networks::{AimView, Aims, Attended, EntityAttention, View};
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::layers::{SparseRows, VisibleLists};
 use sortie_nn::random::Generator;
@@ -32,66 +30,16 @@ impl UtilityInput {
         self.aims.clear();
     }
 
-    /// The same as mixers look at it.
-    pub(super) fn view(&self) -> View<'_> {
+    /// The same without what is aimed at.
+    pub fn view(&self) -> View<'_> {
         View { rows: &self.rows, own: &[], lists: &self.visible, imagines: false }
-    }
-
-    /// Whether queries absorb their keys, because that takes fewer multiplications than keys and values.
-    ///
-    /// The products of whole matrices that keys and values allow are faster than the sums over pairs, so
-    /// pairs count twice.
-    fn absorbs(&self, shape: AttentionShape) -> bool {
-        let matrix = 2 * shape.width * shape.width;
-        let pair = 2 * shape.heads * shape.width;
-        let (rows, queries) = (self.rows.len(), self.visible.queries());
-        queries * matrix + 4 * self.visible.pairs() * pair < rows * matrix
-    }
-}
-
-/// What embeds entities and lets agents look at them (dissertation section 2.3).
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct TrunkLayers {
-    /// `[input, E]`
-    pub(crate) fc1: Linear,
-    pub(crate) queries: Linear,
-    /// `[2 E, E]`
-    pub(crate) keys_values: Linear,
-    pub(crate) shape: AttentionShape,
-}
-
-impl TrunkLayers {
-    /// A trunk over entities of so many input columns.
-    fn of(input: usize, shape: AttentionShape, places: &mut Places) -> Self {
-        let width = shape.width;
-        Self {
-            fc1: places.linear(input, width),
-            queries: places.projection(width, width),
-            keys_values: places.projection(width, 2 * width),
-            shape,
-        }
-    }
-
-    /// What each acting agent attends to, and its own embedding, `[agents, E]` each; and the embeddings of all rows.
-    pub(crate) fn attend(self, t: &mut Pass<'_>, input: &UtilityInput) -> [Var; 3] {
-        let (visible, heads) = (&input.visible, self.shape.heads);
-        let entities = t.sparse_linear_rectified(&input.rows, self.fc1);
-        let own = t.rows(entities, 0..visible.queries());
-        let queries = t.linear(own, self.queries);
-        let attended = if input.absorbs(self.shape) {
-            t.absorbed_attention(queries, entities, self.keys_values, visible, heads)
-        } else {
-            let keys_values = t.linear(entities, self.keys_values);
-            t.attention(queries, keys_values, visible, heads)
-        };
-        [attended, own, entities]
     }
 }
 
 /// The layers of a utility network, in the order of its tensors.
 #[derive(Clone, Copy, Debug)]
 pub struct UtilityLayers {
-    trunk: TrunkLayers,
+    looking: EntityAttention,
     out: Linear,
     fc2: Linear,
     head: Linear,
@@ -103,10 +51,8 @@ pub struct UtilityLayers {
 /// What a utility network has made of its input before the head.
 #[derive(Clone, Copy, Debug)]
 pub struct Looked {
-    /// What each agent attends to, `[agents, E]`.
-    pub(super) attended: Var,
-    /// The embeddings of all rows, `[rows, E]`.
-    entities: Var,
+    /// The embeddings of all rows `[rows, E]`, and what each agent attends to, `[agents, E]`.
+    pub(super) attended: Attended,
     /// What stands before the head, `[agents, R]`: there memories and strategies come in.
     pub base: Var,
 }
@@ -115,9 +61,15 @@ impl UtilityLayers {
     /// Those of a network of this shape.
     pub fn of(shape: UtilityShape) -> Self {
         let places = &mut Places::default();
-        let UtilityShape { input, width, base, actions, skip, targets, .. } = shape;
+        let UtilityShape { input, width, heads, base, actions, skip, targets } = shape;
         Self {
-            trunk: TrunkLayers::of(input, shape.attention(), places),
+            looking: EntityAttention {
+                embed: places.linear(input, width),
+                queries: places.projection(width, width),
+                keys_values: places.projection(width, 2 * width),
+                heads,
+                absorbs: true,
+            },
             out: places.linear(width, width),
             fc2: places.linear(width, base),
             head: places.linear(base, actions - targets.count),
@@ -127,28 +79,31 @@ impl UtilityLayers {
     }
 
     /// Everything before the head.
-    pub fn look(self, t: &mut Pass<'_>, input: &UtilityInput) -> Looked {
-        let [attended, own, entities] = self.trunk.attend(t, input);
+    pub fn look(self, t: &mut Pass<'_>, view: View<'_>) -> Looked {
+        let attended = self.looking.attend(t, view);
         let looked = match self.skip {
-            Some(skip) => t.linear_sum_rectified([attended, own], [self.out, skip]),
-            None => t.linear_rectified(attended, self.out),
+            Some(skip) => {
+                let own = attended.own(t, view);
+                t.linear_sum_rectified([attended.output, own], [self.out, skip])
+            }
+            None => t.linear_rectified(attended.output, self.out),
         };
-        Looked { attended, entities, base: t.linear_rectified(looked, self.fc2) }
+        Looked { attended, base: t.linear_rectified(looked, self.fc2) }
     }
 
     /// The utilities `[agents, U]` of what stands before the head.
-    pub fn head(self, t: &mut Pass<'_>, looked: Looked, input: &UtilityInput) -> Var {
+    pub fn head(self, t: &mut Pass<'_>, looked: Looked, aims: AimView<'_>) -> Var {
         let untargeted = t.linear(looked.base, self.head);
         let Some(pointing) = self.pointing else { return untargeted };
         let vectors = t.linear(looked.base, pointing);
-        let aimed = input.aims.all().point(t, [vectors, looked.entities]);
+        let aimed = aims.point(t, [vectors, looked.attended.embeddings]);
         t.concat(&[untargeted, aimed])
     }
 
     /// The utilities `[agents, U]` of agents without memories and strategies.
     pub fn utilities(self, t: &mut Pass<'_>, input: &UtilityInput) -> Var {
-        let looked = self.look(t, input);
-        self.head(t, looked, input)
+        let looked = self.look(t, input.view());
+        self.head(t, looked, input.aims.all())
     }
 }
 
@@ -157,16 +112,16 @@ impl<'a> UtilityView<'a> {
     pub fn layers(self) -> AttentionNetwork<'a> {
         let (shape, values) = (self.shape, self.parameters);
         let UtilityShape { input, width, heads, base, actions, targets, .. } = shape;
-        let UtilityLayers { trunk, out, fc2, head, skip, pointing } = UtilityLayers::of(shape);
+        let UtilityLayers { looking, out, fc2, head, skip, pointing } = UtilityLayers::of(shape);
         let whole = |layer: Linear| Layer::of(layer, values, Layout::OutputsFirst);
-        let attention_in = trunk.queries.weight..trunk.keys_values.weight_range().end;
+        let attention_in = looking.queries.weight..looking.keys_values.weight_range().end;
         AttentionNetwork {
             inputs: input,
             width,
             heads,
             base,
             outputs: actions,
-            fc1: Layer::of(trunk.fc1, values, Layout::InputsFirst),
+            fc1: Layer::of(looking.embed, values, Layout::InputsFirst),
             attention_in: Matrix { values: &values[attention_in], layout: Layout::OutputsFirst },
             attention_out: whole(out),
             fc2: Some(whole(fc2)),

@@ -5,8 +5,8 @@ mod policy;
 mod team_batch;
 mod utility;
 
+pub(crate) use layers::stacked;
 pub use layers::{Looked, UtilityInput, UtilityLayers};
-pub(crate) use layers::{TrunkLayers, stacked};
 pub use policy::NetworkPolicy;
 pub use sortie_learn::subtasks::NO_ACTION;
 pub use team_batch::{Columns, Conditioning, TaskOrder, TeamBatch};

@@ -10,7 +10,6 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 use sortie_learn::networks::Targets;
-use sortie_nn::layers::attention::AttentionShape;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Parameters, Tensor};
 
@@ -40,10 +39,6 @@ impl UtilityShape {
     pub(crate) fn hint_to_become(self, other: Self, key: &str) -> String {
         let differs = Self { skip: other.skip, ..self } == other && self != other;
         if differs { format!(": `--set {key}={}`", other.skip) } else { String::new() }
-    }
-
-    pub(super) fn attention(self) -> AttentionShape {
-        AttentionShape { width: self.width, heads: self.heads }
     }
 
     /// The tensors, one behind the other. `fc1.weight` is `[input, width]`, all other matrices are `[out, in]`.

@@ -1,13 +1,13 @@
 //! The networks around strategies: the coach that draws them, and the recognition that guesses them. Both begin with a
 //! trunk: entities embedded, agents that look at all of them.
 
-use sortie_nn::layers::attention::AttentionShape;
+use sortie_learn::networks::EntityAttention;
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::gaussian::Gaussian;
-use crate::alma::agents::{TrunkLayers, UtilityInput, stacked};
+use crate::alma::agents::{UtilityInput, stacked};
 
 /// Sizes of a coach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,7 +32,7 @@ impl CoachShape {
         actions: usize,
         p: &mut Parameters,
         random: &mut Generator,
-    ) -> TrunkLayers {
+    ) -> EntityAttention {
         let Self { features, marks, width, heads, .. } = self;
         let mut drawn = |part: &str, rows: usize, inputs: usize| {
             p.tensor(
@@ -49,8 +49,8 @@ impl CoachShape {
         let shape = LinearShape { input: features + marks + actions, output: width };
         let attention = format!("{name}.attention.in");
         let [queries, keys_values] = stacked(p, &attention, (width, [1, 2]), random);
-        let fc1 = Linear { shape, weight, bias };
-        TrunkLayers { fc1, queries, keys_values, shape: AttentionShape { width, heads } }
+        let embed = Linear { shape, weight, bias };
+        EntityAttention { embed, queries, keys_values, heads, absorbs: true }
     }
 }
 
@@ -60,7 +60,7 @@ pub struct CoachLayers {
     /// The sizes.
     pub shape: CoachShape,
     /// Over rows of features, then marks.
-    trunk: TrunkLayers,
+    trunk: EntityAttention,
     out: Linear,
     /// Means, then logarithms of variances.
     head: Linear,
@@ -89,16 +89,16 @@ impl CoachLayers {
 }
 
 /// What each agent makes of all it looks at, `[agents, E]`.
-fn look(t: &mut Pass<'_>, trunk: TrunkLayers, out: Linear, input: &UtilityInput) -> Var {
-    let [attended, ..] = trunk.attend(t, input);
-    t.linear_rectified(attended, out)
+fn look(t: &mut Pass<'_>, trunk: EntityAttention, out: Linear, input: &UtilityInput) -> Var {
+    let attended = trunk.attend(t, input.view());
+    t.linear_rectified(attended.output, out)
 }
 
 /// The layers of a recognition network, in the order of its parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct RecognitionLayers {
     /// Over rows of features, marks and actions.
-    trunk: TrunkLayers,
+    trunk: EntityAttention,
     out: Linear,
     /// Those of mean and variance, one behind the other: `[2 E, E]`.
     hidden: Linear,

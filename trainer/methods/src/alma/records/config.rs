@@ -12,9 +12,9 @@ use crate::alma::agents::{Columns, Conditioning, UtilityShape};
 pub use sortie_learn::configuration::{ExplorationConfig, OptimiserConfig};
 
 const COUNT: Range = Whole(1, 20_000_000);
-const HEADS: Range = Whole(1, 64);
-const WEIGHT: Range = Number(0.0, 1e6);
-const WIDTH: Range = Whole(1, 1024);
+pub(crate) const HEADS: Range = Whole(1, 64);
+pub(crate) const WEIGHT: Range = Number(0.0, 1e6);
+pub(crate) const WIDTH: Range = Whole(1, 1024);
 
 sections! {
     /// What a setup says. Its defaults are the preset `fast`.
@@ -217,11 +217,9 @@ impl Config {
             weights.iter().any(|(_, weight)| *weight > 0.0),
             "one of the weights of `allocation` must be positive",
         )?;
-        self.network.sizes().check("network")?;
-        require(
-            self.mixer.width.is_multiple_of(self.mixer.heads),
-            "`mixer.width` must be a multiple of `mixer.heads`",
-        )?;
+        let AgentNetworkConfig { width, heads, .. } = self.network;
+        require_multiple(("network.width", width), ("network.heads", heads))?;
+        require_multiple(("mixer.width", self.mixer.width), ("mixer.heads", self.mixer.heads))?;
         let (steps, instances) = (self.returns.steps as usize, self.environment.instances);
         let least = 4 * steps * instances;
         require(
@@ -231,7 +229,8 @@ impl Config {
             ),
         )?;
         self.replay.check("replay")?;
-        self.allocator.network.check("allocator.network")?;
+        let NetworkConfig { width, heads, .. } = self.allocator.network;
+        require_multiple(("allocator.network.width", width), ("allocator.network.heads", heads))?;
         self.allocator.replay.check("allocator.replay")
     }
 }
@@ -274,15 +273,16 @@ impl AllocationConfig {
     }
 }
 
-impl NetworkConfig {
-    /// Refuses values that do not go together; `of` names the section.
-    fn check(&self, of: &str) -> Result<(), LearnError> {
-        require(
-            self.width.is_multiple_of(self.heads),
-            &format!("`{of}.width` must be a multiple of `{of}.heads`"),
-        )
-    }
+/// Refuses the value of a key, a width, that is no multiple of another's, its heads.
+pub(crate) fn require_multiple(
+    (width_key, width): (&str, usize),
+    (heads_key, heads): (&str, usize),
+) -> Result<(), LearnError> {
+    let reason = format!("`{width_key}` must be a multiple of `{heads_key}`");
+    require(width.is_multiple_of(heads), &reason)
+}
 
+impl NetworkConfig {
     /// The network's shape for rows of so many columns, with so many outputs.
     pub fn shape(&self, input: usize, actions: usize) -> UtilityShape {
         let Self { width, heads, base, skip, .. } = *self;

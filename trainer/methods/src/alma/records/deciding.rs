@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use sortie_envs::random::{below, chance, member};
 use sortie_envs::{Environment, Observation, Spec, Step, members};
 use sortie_learn::random::by_weight;
-use sortie_learn::subtasks::{NO_ACTION, Place, RuleAllocator};
+use sortie_learn::subtasks::{NO_ACTION, Place, RuleAllocator, ToAllocate};
 use sortie_learn::{LearnError, Transition};
 use sortie_nn::random::Generator;
 
@@ -182,7 +182,8 @@ impl Deciding {
         let (learns, allocation) = (segments.is_some(), &mut place.allocation[..]);
         match (episode.allocation_by, network) {
             (Allocation::Learned, Some(network)) => {
-                self.search.allocate(network, environment, state, generator, allocation)?;
+                let to = ToAllocate { environment, state, random: generator, allocation };
+                self.search.allocate(network, to)?;
             }
             (by, _) => {
                 let by = if by == Allocation::Learned && learns { episode.stand_in } else { by };

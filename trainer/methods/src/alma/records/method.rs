@@ -15,7 +15,7 @@ use sortie_learn::subtasks::{
     Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, Places, RuleAllocator, Subtasks,
 };
 use sortie_learn::trajectory::Place;
-use sortie_learn::{Act, LearnError, Learner, Method, Now, Scenes, State, Transition};
+use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Transition};
 
 use super::allocator::{Allocator, rules};
 use super::config::{Config, LEARNED};
@@ -205,13 +205,8 @@ impl Method for Records {
         self.episodes[instance].restart(&self.deciding, random);
     }
 
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        now: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError> {
+        let Ask { scenes, random, actions } = ask;
         let Self { config, places, episodes, deciding, players, .. } = self;
         let Config { exploration, allocator, .. } = config;
         self.keeps_segments = now.env_steps >= allocator.learns_from;
@@ -258,17 +253,13 @@ impl Method for Records {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
-        reports.decisions += std::mem::take(&mut self.decisions);
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
+        let decisions = std::mem::take(&mut self.decisions);
+        let mut reports = Reports { decisions, ..Reports::default() };
         while self.due.any(now.env_steps) {
-            self.update_once(environment, now, reports);
+            self.update_once(environment, now, &mut reports);
         }
-        Ok(())
+        Ok(reports)
     }
 
     fn rates(&self, now: Now) -> Rates {

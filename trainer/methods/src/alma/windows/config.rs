@@ -12,12 +12,11 @@ use super::WindowShape;
 use super::allocation::{AllocationLearning, AllocationShape, RowRules};
 use crate::alma::agents::{Conditioning, UtilityShape};
 use crate::alma::records::LEARNED;
-use crate::alma::records::config::{self as records, RETURNS, ReturnsConfig};
+use crate::alma::records::config::{
+    self as records, HEADS, RETURNS, ReturnsConfig, WEIGHT, WIDTH, require_multiple,
+};
 
-const HEADS: Range = Whole(1, 64);
 const SPARE: Range = Whole(0, 64);
-const WEIGHT: Range = Number(0.0, 1e6);
-const WIDTH: Range = Whole(1, 1024);
 
 sections! {
     /// The configuration of a run. Its defaults are those of the dissertation and its public code.
@@ -307,24 +306,19 @@ impl Config {
 
     fn check(&self) -> Result<(), LearnError> {
         let Self { low_level, allocation, learning, .. } = self;
-        require(
-            low_level.width.is_multiple_of(low_level.heads),
-            "`low_level.width` must be a multiple of `low_level.heads`",
-        )?;
-        require(
-            low_level.hypernetwork_width.is_multiple_of(low_level.hypernetwork_heads),
-            "`low_level.hypernetwork_width` must be a multiple of `low_level.hypernetwork_heads`",
-        )?;
+        let LowLevelConfig { width, heads, hypernetwork_width, hypernetwork_heads, .. } =
+            *low_level;
+        require_multiple(("low_level.width", width), ("low_level.heads", heads))?;
+        let heads = ("low_level.hypernetwork_heads", hypernetwork_heads);
+        require_multiple(("low_level.hypernetwork_width", hypernetwork_width), heads)?;
         require(
             !self.coach.enabled
                 || (low_level.conditioning == Conditioning::None && !low_level.recurrent),
             "agents with a coach have no subtasks and no memory: `low_level.conditioning` must be `none`, \
              `.recurrent` false",
         )?;
-        require(
-            allocation.width.is_multiple_of(allocation.heads),
-            "`allocation.width` must be a multiple of `allocation.heads`",
-        )?;
+        let AllocationConfig { width, heads, .. } = *allocation;
+        require_multiple(("allocation.width", width), ("allocation.heads", heads))?;
         require(
             learning.episodes >= learning.windows,
             "`learning.episodes` must be at least `learning.windows`",

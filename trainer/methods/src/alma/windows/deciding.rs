@@ -2,10 +2,9 @@
 
 use rand_core::Rng;
 use sortie_envs::random::{chance, member};
-use sortie_envs::{EntitySet, Environment, Observation, Spec};
+use sortie_envs::{EntitySet, Observation, Spec};
 use sortie_learn::LearnError;
-use sortie_learn::subtasks::{Allocate, PROPOSALS};
-use sortie_nn::random::Generator;
+use sortie_learn::subtasks::{Allocate, PROPOSALS, ToAllocate};
 
 use super::allocation::{AllocationNetworks, Decider, Noise, States, TaskColumns};
 use super::config::Exploration;
@@ -46,13 +45,8 @@ impl<'a> ProposalAllocator<'a> {
 }
 
 impl Allocate for ProposalAllocator<'_> {
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        generator: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+        let ToAllocate { environment, state, random, allocation } = to;
         let Self { networks, proposals, greedy_first, exploration, decider, seen } = self;
         environment.observe(state, 0, EntitySet::MAX, seen);
         let (agents, tasks) = (allocation.len(), seen.tasks());
@@ -64,22 +58,22 @@ impl Allocate for ProposalAllocator<'_> {
         let mut states = States::new(agents, seen.entity_task.len(), tasks);
         states.push_seen(seen, allocation);
         let columns = match exploration {
-            Some(_) => TaskColumns::shuffled(tasks, known, generator),
+            Some(_) => TaskColumns::shuffled(tasks, known, random),
             None => TaskColumns::in_order(tasks),
         };
-        let noise = Noise::Seeded { seed: generator.next_u64(), greedy_first: *greedy_first };
+        let noise = Noise::Seeded { seed: random.next_u64(), greedy_first: *greedy_first };
         let decided = decider.decide(*networks, &states, &columns, (*proposals, noise));
         allocation.copy_from_slice(&decided.best);
         let Some(Exploration { proposal, allocation: anywhere, .. }) = *exploration else {
             return Ok(());
         };
-        if chance(generator, proposal.into()) {
+        if chance(random, proposal.into()) {
             allocation.copy_from_slice(&decided.first);
         }
         for task in &mut allocation[..seen.agents()] {
             if seen.open_tasks != 0
-                && chance(generator, anywhere.into())
-                && let Some(drawn) = member(generator, seen.open_tasks.into())
+                && chance(random, anywhere.into())
+                && let Some(drawn) = member(random, seen.open_tasks.into())
             {
                 *task = drawn as u8;
             }
@@ -99,9 +93,10 @@ mod tests {
     use crate::alma::windows::NO_TASK;
     use crate::alma::windows::allocation::{AllocationCritic, AllocationPolicy, AllocationShape};
     use crate::alma::windows::{Note, Replay, SampleShape, Shaping, Windows, cut_windows};
-    use sortie_envs::{Split, Step};
+    use sortie_envs::{Environment, Split, Step};
     use sortie_learn::Transition;
     use sortie_learn::random::{Purpose, generator};
+    use sortie_nn::random::Generator;
 
     fn draws(index: u64) -> Generator {
         generator(3, Purpose::Proposals, index)
@@ -144,6 +139,15 @@ mod tests {
         (policy, AllocationCritic::initialise(shape, &mut draws(2)))
     }
 
+    fn decide(
+        allocator: &mut ProposalAllocator<'_>,
+        state: &[u8],
+        random: &mut Generator,
+        allocation: &mut [u8],
+    ) -> Result<(), LearnError> {
+        allocator.allocate(ToAllocate { environment: &*city(), state, random, allocation })
+    }
+
     #[test]
     fn what_is_decided_in_a_state_is_what_a_window_of_it_gives() {
         let (policy, critic) = networks();
@@ -161,7 +165,7 @@ mod tests {
             let want = Decider::default().decide(networks, &states, &columns, (8, noise));
 
             let mut allocation = last.clone();
-            allocator.allocate(&*city(), &state, &mut draws(number), &mut allocation).unwrap();
+            decide(&mut allocator, &state, &mut draws(number), &mut allocation).unwrap();
             assert_eq!(allocation, want.best);
             decided.push(allocation);
         }
@@ -182,11 +186,11 @@ mod tests {
         };
         let mut starts = (0..).map(start);
         let (state, windows) = starts.find(|(_, windows)| few(windows)).unwrap();
-        let (city, sizes) = (city(), windows.shape);
+        let sizes = windows.shape;
         let mut met = vec![false; sizes.tasks];
         for number in 0..50 {
             let (mut random, mut allocation) = (draws(number), vec![NO_TASK; sizes.agents]);
-            allocator.allocate(&*city, &state, &mut random, &mut allocation).unwrap();
+            decide(&mut allocator, &state, &mut random, &mut allocation).unwrap();
             for (task, present) in allocation.into_iter().zip(&windows.present) {
                 assert_eq!(task != NO_TASK, *present);
                 if *present {
@@ -204,7 +208,7 @@ mod tests {
         let critic = AllocationCritic::initialise(shape, &mut draws(2));
         let networks = AllocationNetworks { policy: &policy, critic: &critic };
         let mut allocator = ProposalAllocator::new(networks, 8);
-        let error = allocator.allocate(&*city(), &start(0).0, &mut draws(0), &mut [NO_TASK; 5]);
+        let error = decide(&mut allocator, &start(0).0, &mut draws(0), &mut [NO_TASK; 5]);
         let error = error.unwrap_err().to_string();
         assert!(error.contains("knows 1 subtasks, this state has"), "{error}");
     }

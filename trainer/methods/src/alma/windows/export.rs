@@ -6,17 +6,12 @@
 //! scale them; the order of the subtasks is the identity.
 
 use sortie_learn::export::attention::{
-    ExportError, Layer, Layout, Matrix, axis, inputs_first, layer,
+    BLOCKED, ExportError, Layer, Layout, Matrix, axis, by_heads, inputs_first, layer, mixed,
 };
-use sortie_learn::export::onnx::{Attribute, Dim, Element, Graph};
+use sortie_learn::export::onnx::{Attribute, Dim, Element, Graph, metadata};
 use sortie_nn::tape::Parameters;
 
-use super::allocation::{AllocationCritic, AllocationPolicy, AllocationShape};
-
-/// What the networks make of one more entity in a subtask.
-const COUNT_SCALE: f32 = 0.2;
-/// Stands for minus infinity among logits; the softmax of a row that holds nothing else stays finite.
-const BLOCKED: f32 = -1.0e30;
+use super::allocation::{AllocationCritic, AllocationPolicy, AllocationShape, COUNT_SCALE};
 
 /// The three graphs of an allocator that proposes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -218,7 +213,7 @@ impl<'a> Writer<'a> {
     /// `input W` of a matrix with so many inputs and as many outputs as the networks are wide.
     fn product(
         &mut self,
-        name: &'static str,
+        name: &str,
         input: &str,
         values: &[f32],
         layout: Layout,
@@ -234,7 +229,7 @@ impl<'a> Writer<'a> {
     /// `input W + b` of such a layer, by its name in the network.
     fn layer(
         &mut self,
-        name: &'static str,
+        name: &str,
         input: &str,
         of: &str,
         layout: Layout,
@@ -314,7 +309,7 @@ impl<'a> Writer<'a> {
     fn attention(&mut self, rows: &str, visible: &str) -> Result<String, ExportError> {
         let AllocationShape { width, heads, .. } = self.shape;
         let mut parts = self.tensor("attention.in.weight").chunks(width * width);
-        let mut project = |name: &'static str| {
+        let mut project = |name: &str| {
             let own = parts.next().unwrap_or_default();
             self.product(name, rows, own, Layout::OutputsFirst, width)
         };
@@ -322,46 +317,18 @@ impl<'a> Writer<'a> {
         let value = project("attention.value")?;
         let graph = &mut self.graph;
         graph.integers("attention.split", &[0, heads as i64, (width / heads) as i64]);
-        let mut by_heads = |input: &str, order: &[i64]| {
-            let (split, ordered) = (format!("{input}.heads"), format!("{input}.ordered"));
-            graph.node(&split, "Reshape", &[input, "attention.split"], &[]);
-            graph.node(&ordered, "Transpose", &[&split], &[Attribute::Ints("perm", order)])
-        };
-        let query = by_heads(&query, &[1, 0, 2]);
-        let key = by_heads(&key, &[1, 2, 0]);
-        let value = by_heads(&value, &[1, 0, 2]);
-        let scale = 1.0 / ((width / heads) as f32).sqrt();
-        graph.floats("attention.scale", &[], &[scale]);
-        graph.floats("attention.blocked", &[], &[BLOCKED]);
-        graph.floats("attention.nothing", &[], &[0.0]);
-        graph.node("attention.scores", "MatMul", &[&query, &key], &[]);
-        graph.node("attention.logits", "Mul", &["attention.scores", "attention.scale"], &[]);
-        let masked = [visible, "attention.logits", "attention.blocked"];
-        graph.node("attention.masked", "Where", &masked, &[]);
-        graph.node("attention.softmax", "Softmax", &["attention.masked"], &[axis(-1)]);
-        let shown = [visible, "attention.softmax", "attention.nothing"];
-        graph.node("attention.weights", "Where", &shown, &[]);
-        graph.node("attention.mixed", "MatMul", &["attention.weights", &value], &[]);
-        let order = [Attribute::Ints("perm", &[1, 0, 2])];
-        graph.node("attention.mixed.ordered", "Transpose", &["attention.mixed"], &order);
-        // Zero keeps the number of rows.
-        graph.integers("attention.join", &[0, width as i64]);
-        let joined = ["attention.mixed.ordered", "attention.join"];
-        graph.node("attention.joined", "Reshape", &joined, &[]);
+        let query = by_heads(graph, &query, &[1, 0, 2]);
+        let key = by_heads(graph, &key, &[1, 2, 0]);
+        let value = by_heads(graph, &value, &[1, 0, 2]);
+        let mixed = mixed(graph, [&query, &key, &value], visible, [0, width, heads]);
         let (name, layout) = ("attention.out", Layout::OutputsFirst);
-        self.layer(name, "attention.joined", name, layout, width)
+        self.layer(name, &mixed, name, layout, width)
     }
 
     fn finish(self, name: &str, kind: &str, doc: &str, contract: u64) -> Vec<u8> {
         let Self { graph, shape, .. } = self;
-        let metadata = [
-            ("sortie.graph", kind.to_owned()),
-            ("sortie.format", "1".to_owned()),
-            ("sortie.contract", format!("{contract:016x}")),
-            ("sortie.features", shape.features.to_string()),
-            ("sortie.tasks", shape.columns.to_string()),
-        ];
-        graph.into_model(name, doc, &metadata)
+        let sizes = [("sortie.features", shape.features), ("sortie.tasks", shape.columns)];
+        graph.into_model(name, doc, &metadata(kind, contract, sizes))
     }
 }
 

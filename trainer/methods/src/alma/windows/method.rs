@@ -4,15 +4,16 @@ use std::ops::Range;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use sortie_envs::{Environment, Random, Spec};
+use sortie_envs::{Environment, Spec};
 use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::subtasks::{
     Allocate, AllocatorNetworks, LearnedAllocator, NoSubtasks, Places, RuleAllocator, Subtasks,
+    ToAllocate,
 };
 use sortie_learn::trajectory::Episode;
-use sortie_learn::{Act, LearnError, Method, Now, Scenes, State, Transition};
+use sortie_learn::{Act, Ask, LearnError, Method, Now, State, Transition};
 use sortie_nn::random::Generator;
 
 use super::WindowShape;
@@ -191,13 +192,8 @@ impl Method for WindowLearner {
         true
     }
 
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        now: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError> {
+        let Ask { scenes, random, actions } = ask;
         let Self { config, low_level, allocation, places, players, .. } = self;
         let exploration = config.exploration.at(now.env_steps);
         let mut allocator = Self::allocator(config, allocation.as_ref(), Some(exploration));
@@ -205,18 +201,18 @@ impl Method for WindowLearner {
         let mut advice = agents.coach.map(Advice::new);
         let decides = low_level.config.conditioning.has_subtasks() || advice.is_some();
         for scene in scenes.scenes {
-            let (place, generator) =
-                (places.look(scenes.environment, scene), &mut random[scene.instance]);
+            let place = places.look(scenes.environment, scene);
             if scene.begins {
                 self.began = now.env_steps;
             }
             if !place.is_due {
                 continue;
             }
-            let allocation = &mut place.allocation;
-            allocator.allocate(scenes.environment, scene.state, generator, allocation)?;
+            let (environment, state) = (scenes.environment, scene.state);
+            let (random, allocation) = (&mut random[scene.instance], &mut place.allocation[..]);
+            allocator.allocate(ToAllocate { environment, state, random, allocation })?;
             if let Some(advice) = &mut advice {
-                advice.draw(&place.seen, generator, &mut place.strategies);
+                advice.draw(&place.seen, random, &mut place.strategies);
             }
             self.decisions += u64::from(decides);
         }
@@ -234,21 +230,17 @@ impl Method for WindowLearner {
     }
 
     /// As many updates of each level as episodes were played.
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
-        reports.decisions += std::mem::take(&mut self.decisions);
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
+        let decisions = std::mem::take(&mut self.decisions);
+        let mut reports = Reports { decisions, ..Reports::default() };
         let instances = self.config.environment.instances;
         for _ in 0..instances {
             (0..self.config.learning.updates)
-                .for_each(|_| self.update_once(environment, now.env_steps, reports));
+                .for_each(|_| self.update_once(environment, now.env_steps, &mut reports));
             self.copy_targets();
         }
         self.episodes.played += instances as u64;
-        Ok(())
+        Ok(reports)
     }
 
     fn rates(&self, now: Now) -> Rates {

@@ -1,8 +1,8 @@
 //! Returns beside naive lists.
 
-use super::super::naive::{Moment, at, kept};
 use super::super::replay::Finished;
 use super::*;
+use crate::options::tests::{Moment, at, kept};
 
 #[test]
 fn returns_end_where_a_naive_list_says() {

@@ -2,7 +2,7 @@ use sortie_envs::{ActionSet, EntitySet, Random};
 use sortie_learn::learner::{Learner, Rules};
 use sortie_learn::run::Rates;
 use sortie_learn::subtasks::{NO_ACTION, Place};
-use sortie_learn::{Act, Method, Now};
+use sortie_learn::{Act, Ask, Method, Now};
 use sortie_nn::tape::Parameters;
 
 use super::*;
@@ -130,14 +130,8 @@ impl Method for Watched {
         self.0.begins(instance, random);
     }
 
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        now: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
-        self.0.act(scenes, now, random, actions)
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError> {
+        self.0.act(ask, now)
     }
 
     fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {

@@ -16,8 +16,7 @@ mod loss;
 use sortie_core::allocate::{EXACT_AGENTS, TeamValue, Teams, ascent, exact};
 use sortie_envs::{Environment, Observation, UNASSIGNED, members};
 use sortie_learn::LearnError;
-use sortie_learn::subtasks::Allocate;
-use sortie_nn::random::Generator;
+use sortie_learn::subtasks::{Allocate, ToAllocate};
 use sortie_nn::tape::Tape;
 
 use crate::alma::agents::{UtilityInput, UtilityLayers, UtilityView};
@@ -82,11 +81,9 @@ impl TeamSearch {
     pub fn allocate(
         &mut self,
         network: UtilityView<'_>,
-        environment: &dyn Environment,
-        state: &[u8],
-        generator: &mut Generator,
-        allocation: &mut [u8],
+        to: ToAllocate<'_>,
     ) -> Result<(), LearnError> {
+        let ToAllocate { environment, state, random, allocation } = to;
         environment.observe(state, 0, 0, &mut self.seen);
         let acting: Vec<usize> = members(self.seen.acting().into()).collect();
         let (agents, open_tasks) = (acting.len(), self.seen.open_tasks);
@@ -97,7 +94,7 @@ impl TeamSearch {
             self.arena.resize(values.len(), exact::Cell::default());
             exact::search(teams, values, &mut self.arena, &mut own).map(drop)
         } else {
-            environment.allocate(0, state, generator, allocation);
+            environment.allocate(0, state, random, allocation);
             own.iter_mut().zip(&acting).for_each(|(own, agent)| *own = allocation[*agent]);
             let (acting, values) = (&acting, &mut self.values);
             let mut values = NetworkValue { network, environment, state, acting, values };
@@ -152,14 +149,8 @@ impl<'a> TeamValueAllocator<'a> {
 }
 
 impl Allocate for TeamValueAllocator<'_> {
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        generator: &mut Generator,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
-        self.search.allocate(self.network, environment, state, generator, allocation)
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+        self.search.allocate(self.network, to)
     }
 
     fn values(

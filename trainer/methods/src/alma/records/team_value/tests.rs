@@ -40,9 +40,9 @@ fn every_agent_gets_an_open_subtask_and_no_team_is_too_large() {
             worlds.observe(&state, 0, 0, &mut seen);
             let mut allocation = [7; 64];
             let mut search = TeamSearch::new(2);
-            let found =
-                search.allocate(network.view(), &*worlds, &state, &mut random, &mut allocation);
-            found.unwrap();
+            let (environment, state, random) = (&*worlds, &state[..], &mut random);
+            let to = ToAllocate { environment, state, random, allocation: &mut allocation };
+            search.allocate(network.view(), to).unwrap();
             let (assigned, rest) = allocation.split_at(seen.agents());
             assert!(rest.iter().all(|task| *task == UNASSIGNED));
             for task in assigned {
@@ -70,9 +70,9 @@ fn agents_that_have_failed_get_nothing_and_are_in_no_question() {
             worlds.save(0, &mut state);
             worlds.observe(&state, 0, EntitySet::MAX, &mut seen);
             let mut allocation = [7; 64];
-            let found =
-                search.allocate(network.view(), &*worlds, &state, &mut random, &mut allocation);
-            found.unwrap();
+            let (environment, state, random) = (&*worlds, &state[..], &mut random);
+            let to = ToAllocate { environment, state, random, allocation: &mut allocation };
+            search.allocate(network.view(), to).unwrap();
             for (agent, task) in allocation.into_iter().enumerate() {
                 let is_open = task < 32 && seen.open_tasks >> task & 1 == 1;
                 let acts = seen.acting() >> agent & 1 == 1;
@@ -85,7 +85,7 @@ fn agents_that_have_failed_get_nothing_and_are_in_no_question() {
                 let (agents, open) = (seen.acting().count_ones(), seen.open_tasks.count_ones());
                 let things = open as usize - 1;
                 let rows = open as usize * ((1 << agents) + 2 * agents as usize + things);
-                assert_eq!(input.all_teams(&*worlds, &state).rows.len(), rows);
+                assert_eq!(input.all_teams(&*worlds, state).rows.len(), rows);
             }
         }
         assert!(failed > 10, "{failed}");

@@ -20,6 +20,8 @@ use sortie_nn::random::Generator;
 
 use decide::shuffled;
 
+pub(super) use rows::COUNT_SCALE;
+
 pub use decide::{AllocationNetworks, Decided, Decider, Proposed, TaskColumns};
 pub use level::{AllocationLevel, AllocationReport, LastStep};
 pub use networks::{AllocationCritic, AllocationPolicy};

@@ -7,7 +7,7 @@ use sortie_nn::layers::SparseRows;
 use crate::alma::windows::{NO_TASK, WindowShape, Windows};
 
 /// What counts of agents and of other entities are multiplied by.
-pub(super) const COUNT_SCALE: f32 = 0.2;
+pub(in crate::alma::windows) const COUNT_SCALE: f32 = 0.2;
 
 /// How decision points become rows.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -78,7 +78,7 @@ fn what_does_not_fit_is_refused() {
     let (policy, mut critic) = networks(SHAPE);
     fill(&mut critic.parameters, &["value.bias"], |_| vec![f32::NAN]);
     let error = export_proposals(&policy, &critic, 0).unwrap_err();
-    assert_eq!(error, ExportError::NonFinite { tensor: "head" });
+    assert_eq!(error, ExportError::NonFinite { tensor: "head".to_owned() });
     let (policy, critic) = networks(AllocationShape { heads: 5, ..SHAPE });
     let error = export_proposals(&policy, &critic, 0).unwrap_err();
     assert_eq!(error, ExportError::Heads { heads: 5, width: 16 });

@@ -61,11 +61,11 @@ impl AgentLayers {
         }
         let mut input = UtilityInput::default();
         teams.write_agents(look, &mut input);
-        let mut looked = self.network.look(t, &input);
+        let mut looked = self.network.look(t, input.view());
         if let Some(told) = told {
             looked.base = t.add(looked.base, told);
         }
-        self.network.head(t, looked, &input)
+        self.network.head(t, looked, input.aims.all())
     }
 
     /// The utilities of agents with a memory: all agents go through all steps of the window.
@@ -86,7 +86,7 @@ impl AgentLayers {
         }
         let mut input = UtilityInput::default();
         everybody.write_agents(sequence, &mut input);
-        let mut looked = self.network.look(t, &input);
+        let mut looked = self.network.look(t, input.view());
         let place = |(state, agent): (usize, usize)| ((state - first) * slots + agent) as u32;
         let places: Vec<u32> = everybody.agents().map(place).collect();
         let inputs = t.scatter(looked.base, &places, count * slots);
@@ -95,7 +95,7 @@ impl AgentLayers {
         let ahead = look.view.ahead() - ahead;
         // Heads that point do so at the rows of all who look.
         looked.base = t.gather(memories, &places);
-        let utilities = self.network.head(t, looked, &input);
+        let utilities = self.network.head(t, looked, input.aims.all());
         let utilities = t.scatter(utilities, &places, count * slots);
         let wanted = wanted.agents().map(|(state, agent)| place((state + ahead, agent)));
         t.gather(utilities, &wanted.collect::<Vec<_>>())

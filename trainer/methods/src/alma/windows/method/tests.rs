@@ -34,7 +34,7 @@ fn flat_agents_and_players_learn_where_there_are_no_subtasks() {
         let before = method.low_level.online.clone();
         for _ in 0..2 {
             play.round(&mut method, now, &mut EpisodeCounts::default()).unwrap();
-            method.update(&*ring, now, &mut reports).unwrap();
+            reports.agents.extend(method.update(&*ring, now).unwrap().agents);
         }
         assert_eq!(method.replay.episodes().len(), 8);
         assert_ne!(method.low_level.online, before);
