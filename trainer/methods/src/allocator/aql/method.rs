@@ -11,11 +11,10 @@ use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
 use sortie_learn::subtasks::{
     Allocate, AllocatedTeam, AllocatorNetworks, LearnedAllocator, ScriptedAgents, Subtasks,
+    ToAllocate,
 };
 use sortie_learn::trajectory::{Capacity, Widths};
-use sortie_learn::{
-    Act, LearnError, Learner, Method, Now, Scenes, State, Trajectories, Transition,
-};
+use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Trajectories, Transition};
 use sortie_nn::lanes::in_lanes;
 
 use super::lesson::{Lesson, Teachers};
@@ -149,7 +148,6 @@ impl Aql {
         }));
         let decisions = lessons.iter().map(|lesson| lesson.best.made.len()).sum::<usize>().max(1);
         let (entropy, share) = (config.proposals.entropy, 1.0 / decisions as f32);
-        reports.decisions += decisions as u64;
         reports.agents.push(proposing.update(lessons.len(), rate, |shard| {
             let best = &lessons[shard.number].best;
             if best.made.len() == 0 {
@@ -166,13 +164,8 @@ impl Method for Aql {
         true
     }
 
-    fn act(
-        &mut self,
-        scenes: &Scenes<'_>,
-        now: Now,
-        random: &mut [Random],
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError> {
+        let Ask { scenes, random, actions } = ask;
         let environment = scenes.environment;
         let team = environment.spec().shape.agents;
         let epsilon = self.config.exploration.epsilon_at(now.env_steps);
@@ -218,22 +211,19 @@ impl Method for Aql {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        environment: &dyn Environment,
-        now: Now,
-        reports: &mut Reports,
-    ) -> Result<(), LearnError> {
-        let (round, kept) = (self.in_force.len() as u64, self.replay.episodes());
-        if self.replay.finished() < self.learned + round || kept < self.config.replay.batch {
-            return Ok(());
+    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
+        let (mut reports, round) = (Reports::default(), self.in_force.len());
+        let is_over = self.replay.finished() >= self.learned + round as u64;
+        if !is_over || self.replay.episodes() < self.config.replay.batch {
+            return Ok(reports);
         }
         self.learned = self.replay.finished();
+        reports.decisions = self.replay.latest(round).map(|episode| episode.steps as u64).sum();
         let rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
         for _ in 0..self.config.replay.updates {
-            self.learn(environment, rate, reports)?;
+            self.learn(environment, rate, &mut reports)?;
         }
-        Ok(())
+        Ok(reports)
     }
 
     fn rates(&self, now: Now) -> Rates {
@@ -293,13 +283,8 @@ struct BestProposal<'a> {
 }
 
 impl Allocate for BestProposal<'_> {
-    fn allocate(
-        &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        random: &mut Random,
-        allocation: &mut [u8],
-    ) -> Result<(), LearnError> {
+    fn allocate(&mut self, to_allocate: ToAllocate<'_>) -> Result<(), LearnError> {
+        let ToAllocate { environment, state, random, allocation } = to_allocate;
         let proposer = self.proposer.get_or_insert_with(|| Proposer::new(environment));
         let asked = [Asked { episode: 0, state, before: allocation }];
         let best = proposer.best(self.networks, &asked, self.count, random)?;

@@ -1,7 +1,7 @@
 use sortie_envs::random::generator;
 use sortie_envs::{Environment, Split, UNASSIGNED};
 use sortie_learn::play::Play;
-use sortie_learn::run::{EpisodeCounts, Reports};
+use sortie_learn::run::EpisodeCounts;
 use sortie_learn::session::Opening;
 use sortie_learn::{Method, Now};
 use sortie_nn::gradient_check::assert_gradient;
@@ -35,7 +35,7 @@ fn played(environment: &dyn Environment, rounds: usize, critic: CriticConfig) ->
     let mut play = Play::new(environment, &mut method, random);
     for _ in 0..rounds {
         play.round(&mut method, NOW, &mut EpisodeCounts::default()).unwrap();
-        method.update(environment, NOW, &mut Reports::default()).unwrap();
+        method.update(environment, NOW).unwrap();
     }
     method
 }
