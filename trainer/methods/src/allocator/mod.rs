@@ -7,6 +7,7 @@
 
 mod agents;
 mod aql;
+mod critic;
 mod deciding;
 mod export;
 mod greedy;

@@ -5,7 +5,8 @@ use sortie_learn::trajectory::Episode;
 use sortie_learn::{LearnError, Trajectories};
 
 use super::proposer::{Best, Networks, Proposer, Situation};
-use super::{Critic, CriticInput, CriticTarget};
+use super::{CriticInput, CriticTarget};
+use crate::allocator::critic::Critic;
 use crate::allocator::deciding::{Asked, Group, Seen};
 
 /// An episode as both networks learn from it.

@@ -17,9 +17,10 @@ use sortie_learn::trajectory::{Capacity, Widths};
 use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Trajectories, Transition};
 use sortie_nn::lanes::in_lanes;
 
+use super::Config;
 use super::lesson::{Lesson, Teachers};
 use super::proposer::{Networks, Proposer};
-use super::{Config, Critic};
+use crate::allocator::critic::Critic;
 use crate::allocator::deciding::{Asked, Seen};
 use crate::allocator::export::graphs;
 use crate::allocator::method::loss;

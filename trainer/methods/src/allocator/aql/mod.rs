@@ -6,7 +6,6 @@
 //! environment is asked for, so that what the step earns need not be learned; with `critic.target=return` it learns what
 //! the rest of the episode earned.
 
-mod critic;
 mod lesson;
 mod method;
 mod proposer;
@@ -22,7 +21,6 @@ use sortie_learn::{sections, words};
 
 use super::{NETWORK, NetworkConfig};
 
-pub(super) use critic::Critic;
 pub(super) use method::Aql;
 
 sections! {

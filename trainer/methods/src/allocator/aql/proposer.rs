@@ -3,7 +3,8 @@
 use sortie_envs::{Environment, Random, UNASSIGNED};
 use sortie_learn::LearnError;
 
-use super::{Critic, CriticInput};
+use super::CriticInput;
+use crate::allocator::critic::Critic;
 use crate::allocator::deciding::{Asked, Group, Seen};
 use crate::allocator::network::Network;
 

@@ -5,12 +5,12 @@ use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
 use super::NetworkConfig;
-use crate::allocator::network::{Decisions, Network};
+use super::network::{Decisions, Network};
 
 /// A critic.
 #[derive(Clone, Debug)]
-pub(in crate::allocator) struct Critic {
-    pub(in crate::allocator) network: Network,
+pub(super) struct Critic {
+    pub(super) network: Network,
     value: Linear,
 }
 
@@ -27,12 +27,7 @@ impl Critic {
     }
 
     /// `[situations, 1]`: what is still to be earned.
-    pub(in crate::allocator) fn values(
-        &self,
-        pass: &mut Pass<'_>,
-        tables: Var,
-        situations: &Decisions,
-    ) -> Var {
+    pub(super) fn values(&self, pass: &mut Pass<'_>, tables: Var, situations: &Decisions) -> Var {
         let vectors = self.network.query(pass, tables, situations);
         let vectors = pass.tanh(vectors);
         pass.linear(vectors, self.value)
