@@ -83,7 +83,7 @@ fn fast() -> Setup {
 
 /// Whether it learns by proposals and a critic.
 fn has_critic(own: &Table) -> bool {
-    own.contains_key("critic")
+    own.get("learner").and_then(toml::Value::as_str) == Some("aql")
 }
 
 fn misfit(spec: &Spec) -> Option<&'static str> {

@@ -27,6 +27,11 @@ sections! {
     /// Sizes and rates; the default is the preset `paper`.
     Config, KEYS;
 
+    above "What learns." {
+        /// Proposals and a critic, which tells this file from those of the preset `fast`.
+        learner: Learner = Learner::Aql, OneOf(Learner::WORDS);
+    }
+
     /// Encoder and decoder, of what proposes and of the critic.
     network: NetworkConfig = NetworkConfig::default(), NETWORK;
 
@@ -73,6 +78,14 @@ sections! {
         average_rate: 0.01,
         ..OptimiserConfig::default()
     }, OPTIMISER;
+}
+
+words! {
+    /// What learns.
+    Learner {
+        /// Amortised Q-learning.
+        Aql = "aql",
+    }
 }
 
 words! {
