@@ -3,7 +3,7 @@
 //!
 //! The preset `fast` points at subtasks by an attention model, and learns from whole episodes: several of one start, of which
 //! each is as good as it is better than the others (REINFORCE, Williams 1992, with what Kwon et al. 2020 compare an
-//! episode with). The preset [`paper`](aql) draws proposals, of which a critic takes the best.
+//! episode with). The preset `paper` draws proposals, of which a critic takes the best.
 
 mod agents;
 mod aql;
