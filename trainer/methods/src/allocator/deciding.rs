@@ -6,8 +6,7 @@ use sortie_envs::{EntitySet, Environment, Observation, Random, UNASSIGNED, membe
 use sortie_learn::networks::{chances, drawn};
 use sortie_nn::tape::Tape;
 
-use super::critic::Critic;
-use super::network::{Decisions, Network};
+use super::network::{Critic, Decisions, Network};
 
 /// The subtasks of an instance, which stay as they are for its whole episode.
 #[derive(Clone, Debug, Default, PartialEq)]

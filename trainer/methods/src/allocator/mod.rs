@@ -7,7 +7,6 @@
 
 mod agents;
 mod aql;
-mod critic;
 mod deciding;
 mod export;
 mod greedy;

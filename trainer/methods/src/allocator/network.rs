@@ -230,6 +230,33 @@ impl Network {
     }
 }
 
+/// What values allocations: the network that proposes once more, with weights of its own, whose vector makes a number.
+#[derive(Clone, Debug)]
+pub(super) struct Critic {
+    pub(super) network: Network,
+    value: Linear,
+}
+
+impl Critic {
+    /// Draws the first weights, as [`Network::new`] does.
+    pub(super) fn new(
+        config: &NetworkConfig,
+        columns: [usize; 2],
+        random: &mut Generator,
+    ) -> Result<(Self, Parameters), LearnError> {
+        let (network, mut parameters) = Network::new(config, columns, random)?;
+        let value = parameters.linear("value", config.width, 1, random);
+        Ok((Self { network, value }, parameters))
+    }
+
+    /// `[situations, 1]`: what is still to be earned.
+    pub(super) fn values(&self, pass: &mut Pass<'_>, tables: Var, situations: &Decisions) -> Var {
+        let vectors = self.network.query(pass, tables, situations);
+        let vectors = pass.tanh(vectors);
+        pass.linear(vectors, self.value)
+    }
+}
+
 /// Rows by their places, zeros for what is behind all of them.
 fn looked_up(pass: &mut Pass<'_>, rows: Var, places: &[u32]) -> Var {
     let columns = pass.size(rows)[1];

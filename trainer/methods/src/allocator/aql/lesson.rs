@@ -6,8 +6,8 @@ use sortie_learn::{LearnError, Trajectories};
 
 use super::proposer::{Best, Networks, Proposer, Situation};
 use super::{CriticInput, CriticTarget};
-use crate::allocator::critic::Critic;
 use crate::allocator::deciding::{Asked, Group, Seen};
+use crate::allocator::network::Critic;
 
 /// An episode as both networks learn from it.
 pub(super) struct Lesson {

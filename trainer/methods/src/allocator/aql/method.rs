@@ -20,11 +20,10 @@ use sortie_nn::lanes::in_lanes;
 use super::Config;
 use super::lesson::{Lesson, Teachers};
 use super::proposer::{Networks, Proposer};
-use crate::allocator::critic::Critic;
 use crate::allocator::deciding::{Asked, Seen};
 use crate::allocator::export::graphs;
 use crate::allocator::method::loss;
-use crate::allocator::network::Network;
+use crate::allocator::network::{Critic, Network};
 
 const NOT_DEPLOYED: &str = "what proposes and its critic are measured only; `sortie train allocator` without \
     `--preset paper` learns an allocator that is deployed";

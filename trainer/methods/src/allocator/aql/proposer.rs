@@ -4,9 +4,8 @@ use sortie_envs::{Environment, Random, UNASSIGNED};
 use sortie_learn::LearnError;
 
 use super::CriticInput;
-use crate::allocator::critic::Critic;
 use crate::allocator::deciding::{Asked, Group, Seen};
-use crate::allocator::network::Network;
+use crate::allocator::network::{Critic, Network};
 
 /// Who proposes and who values, each with its weights.
 #[derive(Clone, Copy)]
