@@ -151,26 +151,21 @@ impl Group {
     /// Forgets what was decided, and by which weights subtasks were encoded.
     pub(super) fn forget(&mut self) {
         self.subtasks = Subtasks::default();
+        self.tables.clear();
         self.made.clear();
     }
 
-    /// Looks at the subtasks, unless they are those that were looked at last.
-    fn encode(&mut self, (network, weights): (&Network, &[f32]), subtasks: Subtasks) {
-        if subtasks == self.subtasks {
-            return;
+    /// Encodes the subtasks, unless they are those that were encoded last.
+    fn encode(&mut self, (network, weights): (&Network, &[f32])) {
+        if self.tables.is_empty() {
+            let mut pass = self.tape.begin(weights);
+            let encoded = network.encode(&mut pass, &self.subtasks.rows);
+            self.tables = pass.values(encoded).to_vec();
         }
-        let mut pass = self.tape.begin(weights);
-        let encoded = network.encode(&mut pass, &subtasks.rows);
-        self.tables = pass.values(encoded).to_vec();
-        self.subtasks = subtasks;
     }
 
-    /// The teams of some states, whose subtasks are looked at.
-    fn teams(
-        &mut self,
-        network: (&Network, &[f32]),
-        Seen { environment, turn, states }: Seen<'_>,
-    ) -> Vec<Team> {
+    /// The teams of some states, whose subtasks are known from here on. They are encoded once somebody scores them.
+    fn teams(&mut self, Seen { environment, turn, states }: Seen<'_>) -> Vec<Team> {
         let mut seen = Observation::default();
         let (mut teams, mut subtasks) = (Vec::new(), Subtasks::default());
         for asked in states {
@@ -180,7 +175,10 @@ impl Group {
             }
             teams.push(Team::of(environment, asked, &seen));
         }
-        self.encode(network, subtasks);
+        if subtasks != self.subtasks {
+            self.tables.clear();
+            self.subtasks = subtasks;
+        }
         teams
     }
 
@@ -192,7 +190,7 @@ impl Group {
         seen: Seen<'_>,
         mut choose: impl FnMut(&[f32], u32) -> usize,
     ) -> Vec<Vec<u8>> {
-        let mut teams = self.teams(network, seen);
+        let mut teams = self.teams(seen);
         for agent in 0..seen.environment.spec().shape.agents {
             self.now.clear();
             let mut deciding = Vec::new();
@@ -234,6 +232,7 @@ impl Group {
 
     /// `[situations]`: what a critic makes of what it was described.
     pub(super) fn values(&mut self, (critic, weights): (&Critic, &[f32])) -> Vec<f32> {
+        self.encode((&critic.network, weights));
         let Self { subtasks, tables, tape, made, .. } = self;
         let mut pass = tape.begin(weights);
         let known = pass.input(tables.len() / subtasks.len(), tables);
@@ -243,6 +242,7 @@ impl Group {
 
     /// `[decisions, subtasks]`: the scores of the decisions that were described.
     fn scores(&mut self, (network, weights): (&Network, &[f32])) -> Vec<f32> {
+        self.encode((network, weights));
         let Self { subtasks, tables, tape, now, .. } = self;
         let mut pass = tape.begin(weights);
         let known = pass.input(tables.len() / subtasks.len(), tables);
@@ -258,7 +258,7 @@ impl Group {
         seen: Seen<'_>,
         (count, random): (usize, &mut Random),
     ) -> Vec<Vec<Vec<u8>>> {
-        let teams = self.teams(network, seen);
+        let teams = self.teams(seen);
         // Of each state, and of how many proposals.
         let mut begun: Vec<(usize, usize, Team)> = Vec::new();
         begun.extend(teams.into_iter().enumerate().map(|(state, team)| (state, count, team)));
@@ -297,14 +297,9 @@ impl Group {
     }
 
     /// Describes the decisions that lead to these allocations, as if they had been made.
-    pub(super) fn follow(
-        &mut self,
-        network: (&Network, &[f32]),
-        seen: Seen<'_>,
-        allocations: &[Vec<u8>],
-    ) {
+    pub(super) fn follow(&mut self, seen: Seen<'_>, allocations: &[Vec<u8>]) {
         self.made.clear();
-        let teams = self.teams(network, seen);
+        let teams = self.teams(seen);
         for (mut team, allocation) in teams.into_iter().zip(allocations) {
             for (agent, task) in allocation.iter().enumerate() {
                 self.now.clear();
@@ -318,14 +313,9 @@ impl Group {
     }
 
     /// Describes states to a critic, each as the first of its agents sees all others, with what they were given there.
-    pub(super) fn look(
-        &mut self,
-        network: (&Network, &[f32]),
-        seen: Seen<'_>,
-        allocations: &[Vec<u8>],
-    ) {
+    pub(super) fn look(&mut self, seen: Seen<'_>, allocations: &[Vec<u8>]) {
         self.made.clear();
-        let teams = self.teams(network, seen);
+        let teams = self.teams(seen);
         for (mut team, allocation) in teams.into_iter().zip(allocations) {
             team.allocation.copy_from_slice(allocation);
             let first = team.offers.iter().position(|offer| *offer != 0).unwrap_or(0);

@@ -7,7 +7,6 @@ use sortie_learn::{LearnError, Trajectories};
 use super::proposer::{Best, Networks, Proposer, Situation};
 use super::{CriticInput, CriticTarget};
 use crate::allocator::deciding::{Asked, Group, Seen};
-use crate::allocator::network::Critic;
 
 /// An episode as both networks learn from it.
 pub(super) struct Lesson {
@@ -62,7 +61,7 @@ impl Lesson {
         let best = self.proposer.best(networks, &states, count, &mut self.random)?;
         let allocations: Vec<Vec<u8>> = best.iter().map(|best| best.allocation.clone()).collect();
         let seen = Seen { environment, turn: 0, states: &states };
-        self.best.follow(networks.proposing, seen, &allocations);
+        self.best.follow(seen, &allocations);
 
         let rewards: Vec<f32> =
             (0..episode.steps).map(|step| replay.rewards(places(step)).team).collect();
@@ -83,7 +82,8 @@ impl Lesson {
             taken.push(situation);
             self.targets.push(target);
         }
-        self.look((networks.critic.0, networks.critic.1), environment, &taken);
+        let (states, given): (Vec<_>, Vec<_>) = taken.iter().map(Situation::asked).unzip();
+        self.taken.look(Seen { environment, turn: 0, states: &states }, &given);
         Ok(())
     }
 
@@ -109,19 +109,5 @@ impl Lesson {
         let mut ahead = self.proposer.values(critic, &situations);
         ahead.push(0.0);
         ahead
-    }
-
-    fn look(
-        &mut self,
-        critic: (&Critic, &[f32]),
-        environment: &dyn Environment,
-        taken: &[Situation],
-    ) {
-        self.taken.forget();
-        let (states, given): (Vec<_>, Vec<_>) = taken.iter().map(Situation::asked).unzip();
-        if !states.is_empty() {
-            let seen = Seen { environment, turn: 0, states: &states };
-            self.taken.look((&critic.0.network, critic.1), seen, &given);
-        }
     }
 }

@@ -94,7 +94,7 @@ impl Proposer {
         let mut values = Vec::new();
         if !asked.is_empty() {
             let seen = Seen { environment: &*self.world, turn: 0, states: &asked };
-            self.valuing.look((&critic.0.network, critic.1), seen, &given);
+            self.valuing.look(seen, &given);
             values = self.valuing.values(critic);
         }
         let mut values = values.into_iter();

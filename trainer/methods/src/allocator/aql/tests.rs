@@ -80,7 +80,7 @@ fn different_allocations_are_proposed_and_every_decision_can_be_followed() {
     };
     let allocations = decided.allocate(network, Seen { states: &states[..1], ..seen }, draw);
     let mut followed = Group::default();
-    followed.follow(network, Seen { states: &states[..1], ..seen }, &allocations);
+    followed.follow(Seen { states: &states[..1], ..seen }, &allocations);
     assert!(decided.made.len() > 0);
     assert_eq!(decided.made.contexts, followed.made.contexts);
     assert_eq!(decided.made.offered, followed.made.offered);
