@@ -292,9 +292,6 @@ fn gather<'a>(
     let text = find(name.as_str()).ok_or_else(|| DefinitionError::Unknown(name.clone()))?;
     let own = Definition::parse(name.clone(), text)?;
     for part in own.fields.iter().filter_map(|field| field.nested.as_ref()) {
-        if part == name {
-            return Err(DefinitionError::Deep(name.clone()));
-        }
         gather(part, find, parts, deeper)?;
     }
     parts.insert(name.clone(), own);

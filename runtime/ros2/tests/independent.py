@@ -7,7 +7,7 @@
 
 Nothing here calls the crate: bytes are those of `rosbags` and, for ROS's own messages, of `rosless` (two other writers, which
 have to agree, and read each other's); hashes those of `rosbags` and `zenoh-ros2-sdk`; keys, tokens and attachments those of
-`zenoh-ros2-sdk`; ids of publishers those of the `xxhash` package. Values are those of tests/golden.rs.
+`zenoh-ros2-sdk`; ids of publishers those of the `xxhash` package. Values are those of tests/all/samples.rs.
 """
 
 import sys
@@ -27,6 +27,9 @@ KEPT = ROOT / "tests/golden/ros2/independent.txt"
 OWN = ["Observation", "Action", "Allocation"]
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
+# All that a definition may hold, for the hash; but `char`, of which both have another number than ROS.
+EVERY = (ROOT / "tests/golden/ros2/Every.msg").read_text()
+STORE.register(get_types_from_msg(EVERY, "demo_msgs/msg/Every"))
 OWN_TEXTS = {
     f"sortie_msgs/msg/{name}": (ROOT / f"runtime/ros2/sortie_msgs/msg/{name}.msg").read_text() for name in OWN
 }
@@ -194,6 +197,8 @@ def lines():
     kinds = sorted({kind for kind, _ in MESSAGES.values()} | {"builtin_interfaces/msg/Time", "std_msgs/msg/Header"})
     hashes = {kind: hashed(kind) for kind in kinds}
     yield from (f"hash {kind} {hashes[kind]}" for kind in kinds)
+
+    yield f"hash demo_msgs/msg/Every {STORE.hash_rihs01('demo_msgs/msg/Every')}"
 
     node = NodeEntity(7, "9ca0f8facf84ffb1e6bfa4f2500889f0", 0, "sortie_bridge", "/team")
     yield f"token node {node_liveliness_keyexpr(node)}"

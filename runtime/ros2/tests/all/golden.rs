@@ -131,15 +131,35 @@ fn hashes_are_those_that_ros_publishes() {
             "std_msgs/msg/MultiArrayLayout",
             "RIHS01_4c66e6f78e740ac103a94cf63259f968e48c617e7699e829b63c21a5cb50dac6",
         ),
+        // A character is a byte there, whatever other readers of definitions take it for.
+        (
+            "std_msgs/msg/Char",
+            "RIHS01_3ad2d04dd29ba19d04b16659afa3ccaedd691914b02a64e82e252f2fa6a586a9",
+        ),
     ];
-    let find = |wanted: &str| sortie_ros2::messages::definition(wanted);
+    let find = |wanted: &str| match wanted {
+        "std_msgs/msg/Char" => Some("char data"),
+        other => sortie_ros2::messages::definition(other),
+    };
     for (name, hash) in published {
         let computed = TypeHash::compute(&TypeName::new(name).unwrap(), &find).unwrap();
         assert_eq!(computed.to_string(), hash, "{name}");
     }
 }
 
-/// Arrays, bounds, defaults and constants, which no message of this crate has all of.
+/// Every primitive, arrays, bounds, defaults and constants, which no message of this crate has all of.
+#[test]
+fn the_hash_of_all_that_a_definition_may_hold_is_that_of_another_program() {
+    let name = TypeName::new("demo_msgs/msg/Every").unwrap();
+    let text = golden("Every.msg").join("\n");
+    let find = |wanted: &str| match wanted {
+        "demo_msgs/msg/Every" => Some(text.as_str()),
+        other => sortie_ros2::messages::definition(other),
+    };
+    let hash = TypeHash::compute(&name, &find).unwrap();
+    assert_eq!(hash.to_string(), independent("hash", name.as_str()));
+}
+
 #[test]
 fn comments_constants_and_defaults_do_not_count() {
     let name = TypeName::new("demo_msgs/msg/Pose").unwrap();

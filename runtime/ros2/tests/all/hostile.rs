@@ -211,6 +211,7 @@ fn qualities_of_service_are_read_as_they_are_written() {
         ("3::,:,:,:,,", "reliability"),
         ("::4,:,:,:,,", "history"),
         ("::,-1:,:,:,,", "depth"),
+        ("::,+1:,:,:,,", "depth"),
         ("::,99999999999999999999:,:,:,,", "depth"),
         ("::,:,:,:4,,", "liveliness"),
         ("::,:,:,:", "liveliness"),
