@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """What others make of the same messages, keys and tokens, kept for the Rust tests.
 
-    python3 -m venv venv && venv/bin/pip install rosbags==0.11.9 rosless==0.5.0 zenoh-ros2-sdk==0.1.8 xxhash==4.1.0
-    venv/bin/python runtime/ros2/tests/independent.py            # compares with tests/golden/ros2/independent.txt
-    venv/bin/python runtime/ros2/tests/independent.py --write    # writes it
+    python3 -m venv target/venv
+    target/venv/bin/pip install rosbags==0.11.9 rosless==0.5.0 zenoh-ros2-sdk==0.1.8 xxhash==4.1.0
+    target/venv/bin/python runtime/ros2/tests/independent.py            # compares with tests/golden/ros2/independent.txt
+    target/venv/bin/python runtime/ros2/tests/independent.py --write    # writes it
 
 Nothing here calls the crate: bytes are those of `rosbags` and, for ROS's own messages, of `rosless` (two other writers, which
 have to agree, and read each other's); hashes those of `rosbags` and `zenoh-ros2-sdk`; keys, tokens and attachments those of
