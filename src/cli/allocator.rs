@@ -12,6 +12,7 @@ use sortie_learn::subtasks::PROPOSALS;
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
 use sortie_stage::{Search, SearchSizes, TeamValuePlan};
 
+use crate::ahead::LookingAhead;
 use crate::allocation::AllocatorChoice;
 use crate::environment::entry_of;
 use crate::failure::{Exit, Failure, Outcome};
@@ -25,6 +26,7 @@ pub enum DeployedAllocator {
     Learned(Box<LearnedAllocator>),
     Proposing(Box<ProposalMemory>),
     Pointing(Box<PointingMemory>),
+    Ahead(Box<LookingAhead>),
 }
 
 impl DeployedAllocator {
@@ -54,8 +56,13 @@ impl DeployedAllocator {
             return Ok(Self::Rule(rule_allocator(entry_of(bundle)?, rule, seed)?));
         }
         if bundle.pointing_graphs().is_some() {
-            proposals.check_unused()?;
-            return Ok(Self::Pointing(Box::new(open_pointing(bundle, backend)?)));
+            let memory = open_pointing(bundle, backend)?;
+            return match proposals.asked() {
+                None | Some(1) => Ok(Self::Pointing(Box::new(memory))),
+                Some(turns) => {
+                    Ok(Self::Ahead(Box::new(LookingAhead::open(bundle, memory, turns)?)))
+                }
+            };
         }
         match ProposalMemory::open(bundle, backend, proposals.count(), seed)? {
             Some(memory) => Ok(Self::Proposing(Box::new(memory))),
@@ -73,6 +80,7 @@ impl DeployedAllocator {
             Self::Learned(learned) => Ok(Box::new(learned.allocator()?)),
             Self::Proposing(memory) => Ok(Box::new(memory.allocator()?)),
             Self::Pointing(memory) => Ok(Box::new(memory.bind().map_err(CompileError::from)?)),
+            Self::Ahead(memory) => Ok(Box::new(memory.bind()?)),
         }
     }
 }
@@ -216,7 +224,8 @@ fn refuse_tract(bundle: &Bundle, backend: Backend) -> Outcome {
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub struct ProposalArguments {
     /// Allocations that a proposing allocator draws, of which the critic takes the best; 1: the most probable one
-    /// [default: 32]
+    /// [default: 32]. One that points plays an episode to its end under as many symmetries, eight at most, and goes by the
+    /// best [default: 1]
     #[arg(long, value_name = "P", value_parser = clap::value_parser!(u16).range(1..=256))]
     proposals: Option<u16>,
 }

@@ -7,6 +7,7 @@
     reason = "public for the program beside, where names say it; no interface for anybody else"
 )]
 
+mod ahead;
 pub mod allocation;
 pub mod allocator;
 mod arguments;

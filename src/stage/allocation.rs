@@ -75,7 +75,8 @@ fn refusal(error: FrameError) -> AllocateError {
     }
 }
 
-fn frame<'a>(state: &AllocationState<'a>) -> Frame<'a> {
+/// What a reader of frames, or an environment, reads back of a state.
+pub fn frame<'a>(state: &AllocationState<'a>) -> Frame<'a> {
     Frame {
         rows: state.rows,
         stride: state.stride,

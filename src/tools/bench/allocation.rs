@@ -60,7 +60,7 @@ impl AllocationArguments {
 pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failure> {
     let bundle = open_bundle(&arguments.bundle)?;
     if bundle.pointing_graphs().is_some() {
-        return pointing::measure(&bundle, &arguments.measuring);
+        return pointing::measure(&bundle, arguments.proposals, &arguments.measuring);
     }
     let name = arguments.bundle.display().to_string();
     let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name))?;

@@ -14,8 +14,13 @@ use super::{Figures, Measuring, OURS, pin, scenes};
 const CALLS_PER_TURN: usize = 4;
 
 /// Times instances of as many subtasks as the bundle's episodes have at most.
-pub(super) fn measure(bundle: &Bundle, measuring: &Measuring) -> Result<Figures, Failure> {
-    let mut ours = open(bundle)?;
+pub(super) fn measure(
+    bundle: &Bundle,
+    proposals: ProposalArguments,
+    measuring: &Measuring,
+) -> Result<Figures, Failure> {
+    let choice = AllocatorChoice::Learned;
+    let mut ours = DeployedAllocator::open(bundle, choice, Backend::Plan, 0, proposals)?;
     let instances = instances(bundle, &mut ours, measuring.common.seed)?;
     let mut ours = ours.allocator()?;
     pin(measuring.pin)?;
@@ -36,11 +41,6 @@ pub(super) fn measure(bundle: &Bundle, measuring: &Measuring) -> Result<Figures,
     let case = format!("an instance of {subtasks} subtasks, {mean:.1} rounds");
     figures.add("allocation", &case, &engines, &measured);
     Ok(figures)
-}
-
-fn open(bundle: &Bundle) -> Result<DeployedAllocator, Failure> {
-    let (choice, proposals) = (AllocatorChoice::Learned, ProposalArguments::default());
-    DeployedAllocator::open(bundle, choice, Backend::Plan, 0, proposals)
 }
 
 /// The states of each of the largest instances, in their order.

@@ -6,6 +6,7 @@ use alloc::vec::Vec;
 use core::any::Any;
 use core::fmt;
 
+use crate::frame::Frame;
 use crate::observation::{AgentSet, EntitySet, Observation, members};
 use crate::picture::Picture;
 use crate::random::Random;
@@ -303,6 +304,15 @@ pub trait Environment: Any + Send + Sync {
         for (agent, potential) in potentials.iter_mut().enumerate() {
             *potential = self.potential(state, scale, 1 << agent, None);
         }
+    }
+
+    /// A state as the rows of a frame show it, from which an episode can be played on; what it came to before is lost. None
+    /// where rows do not tell.
+    ///
+    /// Whoever sees messages alone looks ahead from it.
+    fn rebuilt(&self, frame: &Frame<'_>) -> Option<Vec<u8>> {
+        let _ = frame;
+        None
     }
 
     /// Writes for each of the `wanted` entities that exist how it stands to a subtask, a row of

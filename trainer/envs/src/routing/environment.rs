@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use super::VERSION;
 use super::exact::optimum;
-use super::frames::reader;
+use super::frames::{reader, rebuilt};
 use super::instance::{CUSTOMERS, Instance};
 use super::observation::{FIXED, Layout, ROW_ENTRIES, TURNS, feature_names};
 use super::picture::picture;
@@ -20,6 +20,7 @@ use super::tour::Tour;
 use crate::bytes::{LAYOUT, known};
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
+use crate::frame::Frame;
 use crate::observation::{EntitySet, Observation};
 use crate::picture::Picture;
 use crate::random::{Random, below};
@@ -173,13 +174,15 @@ pub(super) fn open(choice: &Choice<'_>) -> Result<Routing, EnvironmentError> {
         Some(numbers) => (numbers, true),
         None => (set, false),
     };
-    let sizes = sizes(numbers).ok_or_else(|| {
+    let (sizes, of_set) = sizes(numbers).ok_or_else(|| {
         EnvironmentError::Set(format!(
             "no set `{set}`; there are numbers of customers from 1 to {CUSTOMERS}, such as `15`, and ranges, such as `5-15`, \
-             which may end with `{SEQUENTIAL}`: vehicles leave the depot one by one"
+             where there are not four vehicles with their number, such as `31x8`, and all may end with `{SEQUENTIAL}`: \
+             vehicles leave the depot one by one"
         ))
     })?;
     let Settings { vehicles, capacity, wave_cost } = settings;
+    let vehicles = of_set.unwrap_or(vehicles);
     let usual = if *sizes.end() > USUAL { 30 } else { 25 };
     let capacity = if capacity == 0 { usual } else { capacity };
     let refused = |reason: &str| Err(EnvironmentError::Setting(reason.to_string()));
@@ -205,11 +208,15 @@ pub(super) fn open(choice: &Choice<'_>) -> Result<Routing, EnvironmentError> {
     Ok(Routing { spec, layout, sizes, capacity, wave_cost, split: choice.split, tours })
 }
 
-/// The numbers of customers of a set.
-fn sizes(set: &str) -> Option<RangeInclusive<usize>> {
-    let (least, most) = set.split_once('-').unwrap_or((set, set));
+/// The numbers of customers of a set, and the number of its vehicles where it tells that.
+fn sizes(set: &str) -> Option<(RangeInclusive<usize>, Option<usize>)> {
+    let (sizes, vehicles) = match set.split_once('x') {
+        Some((sizes, vehicles)) => (sizes, Some(vehicles.parse().ok()?)),
+        None => (set, None),
+    };
+    let (least, most) = sizes.split_once('-').unwrap_or((sizes, sizes));
     let (least, most) = (least.parse().ok()?, most.parse().ok()?);
-    (1 <= least && least <= most && most <= CUSTOMERS).then_some(least..=most)
+    (1 <= least && least <= most && most <= CUSTOMERS).then_some((least..=most, vehicles))
 }
 
 fn spec(layout: Layout) -> Spec {
@@ -298,6 +305,12 @@ impl Environment for Routing {
 
     fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation) {
         self.layout.observe(&known(self.read(state)), turn, wanted, seen);
+    }
+
+    fn rebuilt(&self, frame: &Frame<'_>) -> Option<Vec<u8>> {
+        let tour = rebuilt(frame, self.layout, self.capacity)?;
+        let state = postcard::to_extend(&tour, alloc::vec![LAYOUT]).ok()?;
+        self.read(&state).is_ok().then_some(state)
     }
 
     fn picture(&self, state: &[u8]) -> Picture {

@@ -4,8 +4,12 @@ use alloc::boxed::Box;
 
 use sortie_core::limits::TASKS;
 
-use super::observation::{AT_DEPOT, CUSTOMER, DEPOT, FEATURES, VEHICLE, X};
+use super::instance::Instance;
+use super::observation::{
+    AT_DEPOT, CUSTOMER, DEMAND, DEPOT, FEATURES, LOAD, Layout, SERVED, VEHICLE, X,
+};
 use super::rules::{Scene, Standing};
+use super::tour::{Tour, Vehicle, Visit};
 use crate::decisions::UNASSIGNED;
 use crate::frame::{Frame, FrameError, FrameReader};
 use crate::observation::members;
@@ -79,6 +83,40 @@ impl FrameReader for Reader {
     }
 
     fn relate(&self, _: usize, _: &mut [f32]) {}
+}
+
+/// The tour that a frame shows, of vehicles that hold so much and are all there; how it came to this is not told. Customers are
+/// counted as they come, whatever the numbers of their rows.
+pub(super) fn rebuilt(frame: &Frame<'_>, layout: Layout, capacity: u8) -> Option<Tour> {
+    if (frame.agents, frame.tasks) != (layout.vehicles, layout.customers + 1) {
+        return None;
+    }
+    let place = |row: &[f32]| [f64::from(row[X]), f64::from(row[X + 1])];
+    let count = |share: f32| (share * f32::from(capacity) + 0.5) as u8;
+    let (mut depot, mut places, mut demands) = (None, alloc::vec![[0.0; 2]], alloc::vec![0]);
+    let mut visits = alloc::vec![Visit::NONE];
+    for entity in members(frame.present).skip_while(|entity| *entity < frame.agents) {
+        let row = row(frame, entity).ok()?;
+        if row[DEPOT] == 1.0 {
+            depot = Some(place(row));
+            continue;
+        }
+        places.push(place(row));
+        demands.push(count(row[DEMAND]));
+        // By whom it was served, and from where, is of no consequence.
+        let is_served = row[SERVED] == 1.0;
+        visits.push(if is_served { Visit { vehicle: 0, from: 0 } } else { Visit::NONE });
+    }
+    places[0] = depot?;
+    let vehicle = |vehicle: usize| {
+        let row = row(frame, vehicle).ok().filter(|_| frame.present >> vehicle & 1 == 1)?;
+        let is_there = |at: &usize| visits[*at].is_done() && places[*at] == place(row);
+        let at = if row[AT_DEPOT] == 1.0 { 0 } else { (1..places.len()).find(is_there)? };
+        Some(Vehicle { at: at as u8, load: count(row[LOAD]), trips: 0 })
+    };
+    let vehicles = (0..frame.agents).map(vehicle).collect::<Option<_>>()?;
+    let instance = Instance { places, demands, capacity };
+    Some(Tour { instance, vehicles, visits, ..Tour::default() })
 }
 
 /// The features of an entity.

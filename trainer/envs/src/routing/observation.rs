@@ -30,7 +30,10 @@ pub(super) const CUSTOMER: usize = 1;
 pub(super) const DEPOT: usize = 2;
 /// Y follows.
 pub(super) const X: usize = 3;
+pub(super) const DEMAND: usize = 6;
+pub(super) const LOAD: usize = 7;
 pub(super) const AT_DEPOT: usize = 9;
+pub(super) const SERVED: usize = 10;
 /// So many columns, the first ones, stay as they are: all that tells instances apart.
 pub(super) const FIXED: usize = 7;
 /// Most of them that differ from zero in one row: a vehicle's.
@@ -161,7 +164,7 @@ fn write_waiting(tour: &Tour, rows: &mut SparseRows) {
 fn write_vehicle(tour: &Tour, number: usize, turn: usize, rows: &mut SparseRows) {
     let (vehicle, capacity) = (tour.vehicles[number], f32::from(tour.instance.capacity));
     write_where(tour, (VEHICLE, vehicle.at.into()), turn, rows);
-    rows.push_unless_zero(7, f32::from(vehicle.load) / capacity);
+    rows.push_unless_zero(LOAD, f32::from(vehicle.load) / capacity);
     rows.push_unless_zero(8, f32::from(tour.room(number)) / capacity);
     rows.push_unless_zero(AT_DEPOT, f32::from(u8::from(vehicle.at == 0)));
     write_waiting(tour, rows);
@@ -173,7 +176,7 @@ fn write_place(tour: &Tour, place: usize, turn: usize, rows: &mut SparseRows) {
     let kind = if place == 0 { DEPOT } else { CUSTOMER };
     write_where(tour, (kind, place), turn, rows);
     let demand = f32::from(tour.instance.demands[place]) / f32::from(tour.instance.capacity);
-    rows.push_unless_zero(6, demand);
-    rows.push_unless_zero(10, f32::from(u8::from(tour.visits[place].is_done())));
+    rows.push_unless_zero(DEMAND, demand);
+    rows.push_unless_zero(SERVED, f32::from(u8::from(tour.visits[place].is_done())));
     write_waiting(tour, rows);
 }

@@ -232,6 +232,60 @@ fn rules_give_the_same_from_a_state_and_from_its_rows() {
     }
 }
 
+/// What is rebuilt from rows is played on as the tour that they show: the same may be done, and the same way is left.
+#[test]
+fn tours_are_rebuilt_from_their_rows() {
+    let mut random = generator(6);
+    for leaving in [TOGETHER, ONE_BY_ONE] {
+        let mut routing = opened(&format!("5-15{leaving}"), &[]);
+        let mut other = routing.open(1, Split::Test);
+        routing.reset(0, &mut random);
+        let mut rounds = 0;
+        while !routing.episode(0).done {
+            let state = saved(&*routing);
+            let rebuilt = |state: &[u8], hidden: EntitySet| {
+                let (rows, available, Observation { present, open_tasks, .. }) =
+                    told(&*routing, state);
+                let present = present & !hidden;
+                let (stride, agents, tasks) = (FEATURES.len(), 4, 16);
+                let frame = Frame {
+                    rows: &rows,
+                    stride,
+                    agents,
+                    tasks,
+                    present,
+                    open_tasks,
+                    available: &available,
+                };
+                routing.rebuilt(&frame)
+            };
+            let shown = rebuilt(&state, 0).unwrap();
+            assert_eq!(rebuilt(&shown, 0).as_ref(), Some(&shown));
+            // Without a vehicle, or the depot, nothing is known.
+            assert_eq!((rebuilt(&state, 1), rebuilt(&state, 1 << 19)), (None, None));
+            let (rows, available, seen) = told(&*routing, &state);
+            let (own_rows, own_available, own) = told(&*routing, &shown);
+            assert_eq!((own_available, own.open_tasks), (available, seen.open_tasks));
+            assert!(rows.iter().zip(&own_rows).all(|(one, other)| (one - other).abs() < 1e-6));
+            other.load(0, &shown).unwrap();
+            let left = |routing: &mut dyn Environment| {
+                let before = -routing.episode(0).episode_return;
+                follow(routing, 0);
+                -routing.episode(0).episode_return - before
+            };
+            let mut own = routing.open(1, Split::Test);
+            own.load(0, &state).unwrap();
+            assert!((left(&mut *own) - left(&mut *other)).abs() < 1e-5);
+            let (mut goals, mut actions) = ([0; 4], [0; 4]);
+            routing.allocate(1, &state, &mut random, &mut goals);
+            routing.scripted(&state, &goals, &mut random, &mut actions);
+            routing.step(0, &actions, &mut random).unwrap();
+            rounds += 1;
+        }
+        assert!(rounds > 2);
+    }
+}
+
 #[test]
 fn frames_that_show_no_tour_are_refused() {
     let mut routing = opened("5", &[]);
@@ -441,10 +495,14 @@ fn what_cannot_be_set_is_refused_and_named() {
         let opened = open(&format!("routing/{set}"), Split::Train, 1, &settings(own));
         opened.map(drop).unwrap_err().to_string()
     };
-    for set in ["0", "32", "5-", "15-5", "-", "many", "5-15-20", "-sequential"] {
+    for set in ["0", "32", "5-", "15-5", "-", "many", "5-15-20", "-sequential", "15x", "x4"] {
         assert!(refused(set, &[]).starts_with(&format!("no set `{set}`; there are")), "{set}");
     }
     assert!(refused("5", &[("vehicles", Setting::Whole(25))]).contains("from 1 to 24"));
+    assert!(refused("5x25", &[]).contains("from 1 to 24"));
+    assert!(
+        refused("31", &[]).contains("`capacity`") && opened("31x8", &[]).spec().shape.agents == 8
+    );
     for (vehicles, capacity) in [(4, 8), (1, 60)] {
         let own = [("vehicles", Setting::Whole(vehicles)), ("capacity", Setting::Whole(capacity))];
         assert!(refused("15", &own).contains("`capacity` is at least 9"), "{vehicles}");

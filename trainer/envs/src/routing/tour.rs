@@ -29,7 +29,7 @@ pub(super) struct Visit {
 }
 
 impl Visit {
-    const NONE: Self = Self { vehicle: NOWHERE, from: NOWHERE };
+    pub(super) const NONE: Self = Self { vehicle: NOWHERE, from: NOWHERE };
 
     pub(super) fn is_done(self) -> bool {
         self.vehicle != NOWHERE

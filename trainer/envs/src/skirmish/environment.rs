@@ -15,6 +15,7 @@ use super::encounter::{Encounter, Outcome, VICTORY};
 use super::frames::reader;
 use super::observation::{Aim, Layout, ORDERS, turned_action};
 use super::picture::picture;
+use super::relations::RELATIONS;
 use super::rules::{RULES, allocate, scripted};
 use super::scenarios::{SETS, Scenario, in_order, name_of};
 use super::units::{Book, Rules};
@@ -24,6 +25,7 @@ use crate::environment::{Environment, Episode, Split, StateError, Step, StepErro
 use crate::observation::{EntitySet, Observation};
 use crate::picture::Picture;
 use crate::random::Random;
+use crate::rows::SparseRows;
 use crate::spec::{Metric, Rewards, Shape, Spec};
 
 /// How `--env` finds it.
@@ -197,6 +199,7 @@ fn spec(scenario: &Scenario, layout: &Layout) -> Spec {
         solved_return: 20.0,
         turns: 8,
         rules: if scenario.is_defence { RULES } else { &[] },
+        relations: if scenario.is_defence { RELATIONS } else { 0 },
         state_bytes: state_bytes(units),
         episode_limit: scenario.limit,
         ..Spec::default()
@@ -283,6 +286,18 @@ impl Environment for Skirmish {
     fn observe(&self, state: &[u8], turn: usize, wanted: EntitySet, seen: &mut Observation) {
         let encounter = &known(self.read(state));
         self.layout.observe((encounter, &self.book), turn, wanted, seen);
+    }
+
+    fn relate(
+        &self,
+        state: &[u8],
+        turn: usize,
+        task: usize,
+        wanted: EntitySet,
+        rows: &mut SparseRows,
+    ) {
+        let encounter = &known(self.read(state));
+        self.layout.relate((encounter, &self.book), (turn, task), wanted, rows);
     }
 
     fn picture(&self, state: &[u8]) -> Picture {

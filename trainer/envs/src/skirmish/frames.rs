@@ -5,7 +5,8 @@ use alloc::collections::BTreeMap;
 use alloc::vec::Vec;
 
 use super::armies::ARMIES;
-use super::observation::FIRST_ARMY;
+use super::observation::{BODY, FIRST_ARMY, PLACE};
+use super::relations::{Glimpse, Opposed, RELATIONS};
 use super::rules::Muster;
 use super::units::TYPES;
 use crate::decisions::UNASSIGNED;
@@ -30,6 +31,8 @@ struct Reader {
     units: BTreeMap<usize, Shown>,
     /// Those that live.
     present: EntitySet,
+    /// How these stand, by their rows.
+    glimpses: Vec<(usize, Glimpse)>,
     muster: Muster,
     /// Agent rows.
     slots: usize,
@@ -55,6 +58,9 @@ impl FrameReader for Reader {
             let attacks = frame.rows.get(entity * frame.stride + FIRST_ARMY + ARMIES);
             self.muster.attacks[army] |= frame.present >> entity & 1 == 1 && attacks == Some(&1.0);
         }
+        let seen = members(frame.present)
+            .filter_map(|entity| Some((entity, self.glimpse(frame, entity)?)));
+        self.glimpses = seen.collect();
         Ok(())
     }
 
@@ -78,10 +84,30 @@ impl FrameReader for Reader {
     }
 
     fn relations(&self) -> usize {
-        0
+        RELATIONS
     }
 
-    fn relate(&self, _: usize, _: &mut [f32]) {}
+    fn relate(&self, task: usize, relation: &mut [f32]) {
+        relation.fill(0.0);
+        let units = self.glimpses.iter().map(|(_, unit)| *unit);
+        let Some(opposed) = Opposed::of(units, task) else { return };
+        for (entity, unit) in &self.glimpses {
+            if let Some(columns) = relation.chunks_exact_mut(RELATIONS).nth(*entity) {
+                columns.copy_from_slice(&opposed.relation(unit));
+            }
+        }
+    }
+}
+
+impl Reader {
+    /// What a row shows of a unit; none of the dead, whose rows say no more than their types.
+    fn glimpse(&self, frame: &Frame<'_>, entity: usize) -> Option<Glimpse> {
+        let row = frame.rows.get(entity * frame.stride..)?;
+        let told = |column: usize| row.get(column).copied().unwrap_or_default();
+        let [health, shield] = BODY.map(told);
+        let army = self.units.get(&entity).and_then(|(_, army)| *army);
+        (health > 0.0).then(|| Glimpse { army, place: PLACE.map(told), body: health + shield })
+    }
 }
 
 /// What the row of a unit shows.

@@ -16,6 +16,7 @@ mod moving;
 mod observation;
 mod orders;
 mod picture;
+mod relations;
 mod rules;
 mod scenarios;
 mod units;

@@ -9,6 +9,7 @@ use serde::Deserialize;
 use super::armies::ARMIES;
 use super::battle::{Battle, CAPACITY, NOBODY, Order, Point, Unit, length};
 use super::encounter::Encounter;
+use super::relations::{Glimpse, Opposed};
 use super::scenarios::Scenario;
 use super::units::{Book, FULL_ENERGY, MEDIVAC, TYPE_NAMES, TYPES, UnitType};
 use crate::battles::WAYS;
@@ -32,6 +33,9 @@ const TOLD: usize = 10;
 const ARMY_NAMES: &str = "army-0 army-1 army-2 army-attacks army-since";
 /// The column of a row that marks the first army, where there are armies.
 pub(super) const FIRST_ARMY: usize = 1 + TYPES + TOLD;
+/// Columns of health, shield, and the place.
+pub(super) const BODY: [usize; 2] = [1 + TYPES, 2 + TYPES];
+pub(super) const PLACE: [usize; 2] = [5 + TYPES, 6 + TYPES];
 /// How an agent stands to whom it may aim at.
 const PAIR_NAMES: &str = "east north distance within-reach after-it";
 const PAIR: usize = 5;
@@ -275,6 +279,36 @@ impl Layout {
         }
     }
 
+    /// Writes how each of the wanted units stands to an army; nothing for who is dead.
+    pub(super) fn relate(
+        &self,
+        (encounter, book): (&Encounter, &Book),
+        (turn, army): (usize, usize),
+        wanted: EntitySet,
+        rows: &mut SparseRows,
+    ) {
+        let battle = &encounter.battle;
+        let glimpse = |number: usize| {
+            let unit = &battle.units[number];
+            let [health, shield, _] = shares(unit, &book.types[unit.kind()]);
+            let army = (unit.army != NOBODY).then_some(unit.army.into());
+            let place = seen_at(unit, book, turn);
+            unit.is_alive().then_some(Glimpse { army, place, body: health + shield })
+        };
+        let opposed = Opposed::of((0..battle.count).filter_map(glimpse), army);
+        let is_shown = |number: &usize| *number < battle.allies || battle.units[*number].is_alive();
+        for number in (0..battle.count).filter(is_shown) {
+            if wanted >> self.entity(battle, number) & 1 == 0 {
+                continue;
+            }
+            if let (Some(opposed), Some(unit)) = (opposed, glimpse(number)) {
+                let columns = opposed.relation(&unit).into_iter().enumerate();
+                columns.for_each(|(column, value)| rows.push_unless_zero(column, value));
+            }
+            rows.end_row();
+        }
+    }
+
     fn write_row(
         &self,
         (encounter, book): (&Encounter, &Book),
@@ -290,8 +324,7 @@ impl Layout {
         let start = 1 + TYPES;
         if unit.is_alive() {
             let nature = &book.types[unit.kind()];
-            let half = book.side / 2.0;
-            let [x, y] = turned(turn, unit.place.map(|part| (part - half) / half));
+            let [x, y] = seen_at(unit, book, turn);
             let moved = [0, 1].map(|part| (unit.place[part] - unit.before[part]) / STRIDE);
             let [moved_x, moved_y] = turned(turn, moved);
             let [health, shield, energy] = shares(unit, nature);
@@ -400,6 +433,12 @@ impl Encounter {
         }
         attackers
     }
+}
+
+/// Where a unit is, from -1 to 1 on both axes, under a symmetry.
+fn seen_at(unit: &Unit, book: &Book, turn: usize) -> Point {
+    let half = book.side / 2.0;
+    turned(turn, unit.place.map(|part| (part - half) / half))
 }
 
 /// Life, shield and energy as shares of what there can be.

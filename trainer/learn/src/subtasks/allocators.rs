@@ -65,10 +65,19 @@ impl Allocate for DeployedAllocator<'_> {
 pub fn allocation_state_after(
     environment: &dyn Environment,
     state: &[u8],
-    allocation: &[u8],
+    in_force: &[u8],
 ) -> OwnedAllocationState {
-    let mut state = allocation_state(environment, state);
-    for (tasks, last) in state.entity_task.iter_mut().zip(&allocation[..state.agents]) {
+    allocation_state_turned(environment, (state, in_force), 0)
+}
+
+/// The same under a symmetry of the rules.
+pub fn allocation_state_turned(
+    environment: &dyn Environment,
+    (state, in_force): (&[u8], &[u8]),
+    turn: usize,
+) -> OwnedAllocationState {
+    let mut state = told(environment, state, turn);
+    for (tasks, last) in state.entity_task.iter_mut().zip(&in_force[..state.agents]) {
         *tasks = 1_u32.checked_shl((*last).into()).unwrap_or(0);
     }
     state
@@ -76,9 +85,13 @@ pub fn allocation_state_after(
 
 /// All that an allocator sees of a state; agents come without their last allocation.
 pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAllocationState {
+    told(environment, state, 0)
+}
+
+fn told(environment: &dyn Environment, state: &[u8], turn: usize) -> OwnedAllocationState {
     let features = environment.spec().shape.features;
     let mut seen = Observation::default();
-    environment.observe(state, 0, EntitySet::MAX, &mut seen);
+    environment.observe(state, turn, EntitySet::MAX, &mut seen);
     let mut rows = Vec::new();
     seen.rows.write_all(features, &mut rows);
     let actions = environment.spec().shape.actions;

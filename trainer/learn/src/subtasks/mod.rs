@@ -7,6 +7,7 @@
 mod agents;
 mod allocators;
 mod places;
+mod symmetries;
 mod team;
 
 use sortie_envs::{Environment, Observation, Random, Spec};
@@ -18,8 +19,10 @@ use crate::export::{AttentionNetwork, ExportError};
 pub use agents::{MaskedViews, PolicyAgents, ScriptedAgents};
 pub use allocators::{
     DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state, allocation_state_after,
+    allocation_state_turned,
 };
 pub use places::{Place, Places};
+pub use symmetries::{AllocateTurned, Course, best_course};
 pub use team::AllocatedTeam;
 
 /// Allocations that a policy draws, of which a critic takes the best (dissertation section 7.4).

@@ -2,11 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use super::super::observation::BODY;
+use super::super::relations::RELATIONS;
 use super::super::scenarios::{SETS, Scenario};
 use super::super::units::Book;
 use crate::frame::{Frame, FrameError};
 use crate::random::generator;
 use crate::registry::Setting;
+use crate::rows::SparseRows;
 use crate::{
     EntitySet, Environment, EnvironmentError, Episode, Observation, Split, StateError, StepError,
     UNASSIGNED, conformance, members, open,
@@ -308,6 +311,61 @@ fn rules_find_the_same_in_frames() {
         assert_eq!(drawn[4..], [UNASSIGNED; 2]);
         assert_eq!(reader.allocate(0, &mut random, &mut [0; 3]), Err(FrameError::BadLength));
     }
+}
+
+/// What a network is told of an army is the same to the bit where it learns and where it is deployed, and is what the
+/// encounter comes to: sums over the living.
+#[test]
+fn relations_are_read_back_from_frames() {
+    let mut skirmish = opened("4s-disadvantage", &[]);
+    let (mut random, mut reader) = (generator(9), super::super::frames::reader());
+    let mut dead = 0;
+    for _ in 0..10 {
+        skirmish.reset(0, &mut random);
+        while !skirmish.episode(0).done {
+            let state = saved(&*skirmish);
+            let (rows, seen) = rows_of(&*skirmish, &state);
+            let (stride, open_tasks) = (skirmish.spec().shape.features, seen.open_tasks);
+            let present = seen.present & !EntitySet::from(seen.absent);
+            let (agents, tasks) = (4, 3);
+            reader
+                .read(&Frame {
+                    rows: &rows,
+                    stride,
+                    agents,
+                    tasks,
+                    present,
+                    open_tasks,
+                    available: &[],
+                })
+                .unwrap();
+            dead += seen.absent.count_ones();
+            for task in (0..3).filter(|task| open_tasks >> task & 1 == 1) {
+                let mut own = SparseRows::default();
+                skirmish.relate(&state, 0, task, EntitySet::MAX, &mut own);
+                let entities = skirmish.spec().shape.entities;
+                let mut read = vec![9.0; entities * RELATIONS];
+                reader.relate(task, &mut read);
+                let mut written = vec![0.0; entities * RELATIONS];
+                for (row, entity) in members(seen.present).enumerate() {
+                    own.write_dense(row, &mut written[entity * RELATIONS..][..RELATIONS]);
+                }
+                assert_eq!(read, written);
+                let army = members(seen.things_of(task)).map(|thing| {
+                    let row = &rows[thing * stride..];
+                    row[BODY[0]] + row[BODY[1]]
+                });
+                let strength = army.sum::<f32>() / 8.0;
+                let agent = members(present).next().unwrap();
+                assert!((read[agent * RELATIONS + 3] - strength).abs() < 1e-5);
+            }
+            let mut actions = [0; 4];
+            let allocation: Vec<u8> = vec![0; 4];
+            skirmish.scripted(&state, &allocation, &mut random, &mut actions);
+            skirmish.step(0, &actions, &mut random).unwrap();
+        }
+    }
+    assert!(dead > 0);
 }
 
 #[test]
