@@ -260,6 +260,11 @@ impl Laws {
                     rows.len()
                 )
             })?;
+            let first = members(self.seen.things_of(task)).next();
+            let asks = first.map(|thing| self.seen.row_of(thing));
+            require(asks.is_none_or(|row| rows.row(row).next().is_none()), || {
+                format!("the first thing of subtask {task} is related to it, but it asks")
+            })?;
         }
         Ok(())
     }

@@ -316,7 +316,7 @@ pub trait Environment: Any + Send + Sync {
     }
 
     /// Writes for each of the `wanted` entities that exist how it stands to a subtask, a row of
-    /// [`Spec::relations`] columns each; empty rows where there are none.
+    /// [`Spec::relations`] columns each; empty rows where there are none, and of the subtask's first thing, which asks.
     fn relate(
         &self,
         state: &[u8],

@@ -89,11 +89,10 @@ impl FrameReader for Reader {
 
     fn relate(&self, task: usize, relation: &mut [f32]) {
         relation.fill(0.0);
-        let units = self.glimpses.iter().map(|(_, unit)| *unit);
-        let Some(opposed) = Opposed::of(units, task) else { return };
+        let Some(opposed) = Opposed::of(self.glimpses.iter().copied(), task) else { return };
         for (entity, unit) in &self.glimpses {
             if let Some(columns) = relation.chunks_exact_mut(RELATIONS).nth(*entity) {
-                columns.copy_from_slice(&opposed.relation(unit));
+                columns.copy_from_slice(&opposed.relation(*entity, unit));
             }
         }
     }

@@ -295,14 +295,15 @@ impl Layout {
             let place = seen_at(unit, book, turn);
             unit.is_alive().then_some(Glimpse { army, place, body: health + shield })
         };
-        let opposed = Opposed::of((0..battle.count).filter_map(glimpse), army);
+        let units = (0..battle.count).filter_map(|number| Some((number, glimpse(number)?)));
+        let opposed = Opposed::of(units, army);
         let is_shown = |number: &usize| *number < battle.allies || battle.units[*number].is_alive();
         for number in (0..battle.count).filter(is_shown) {
             if wanted >> self.entity(battle, number) & 1 == 0 {
                 continue;
             }
             if let (Some(opposed), Some(unit)) = (opposed, glimpse(number)) {
-                let columns = opposed.relation(&unit).into_iter().enumerate();
+                let columns = opposed.relation(number, &unit).into_iter().enumerate();
                 columns.for_each(|(column, value)| rows.push_unless_zero(column, value));
             }
             rows.end_row();

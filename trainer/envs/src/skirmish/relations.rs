@@ -24,18 +24,21 @@ pub(super) struct Glimpse {
 /// An army, as far as agents stand to it somehow.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Opposed {
+    /// Its first unit, which asks: nothing is told of it.
+    first: usize,
     middle: Point,
     /// What is left of the army, and of all agents, as shares of a large team.
     left: [f32; 2],
 }
 
 impl Opposed {
-    /// Of all units that live; none where nothing of the army is left.
-    pub(super) fn of(units: impl Iterator<Item = Glimpse>, army: usize) -> Option<Self> {
-        let (mut sum, mut count, mut bodies) = ([0.0; 2], 0.0, [0.0; 2]);
-        for unit in units {
+    /// Of all units that live, by their numbers; none where nothing of the army is left.
+    pub(super) fn of(units: impl Iterator<Item = (usize, Glimpse)>, army: usize) -> Option<Self> {
+        let (mut first, mut sum, mut count, mut bodies) = (None, [0.0; 2], 0.0, [0.0; 2]);
+        for (number, unit) in units {
             match unit.army {
                 Some(own) if own == army => {
+                    first.get_or_insert(number);
                     sum = [0, 1].map(|part| sum[part] + unit.place[part]);
                     count += 1.0;
                     bodies[0] += unit.body;
@@ -45,11 +48,14 @@ impl Opposed {
             }
         }
         let left = bodies.map(|body| body / LARGE_TEAM);
-        (count > 0.0).then(|| Self { middle: sum.map(|part| part / count), left })
+        first.map(|first| Self { first, middle: sum.map(|part| part / count), left })
     }
 
-    /// How a unit stands to it.
-    pub(super) fn relation(&self, unit: &Glimpse) -> [f32; RELATIONS] {
+    /// How the unit of a number stands to it.
+    pub(super) fn relation(&self, number: usize, unit: &Glimpse) -> [f32; RELATIONS] {
+        if number == self.first {
+            return [0.0; RELATIONS];
+        }
         let [east, north] = [0, 1].map(|part| self.middle[part] - unit.place[part]);
         let [army, agents] = self.left;
         [east, north, length([east, north]), army, agents]
