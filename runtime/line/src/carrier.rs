@@ -55,7 +55,16 @@ pub trait Carrier: Send + Sync {
 
     /// Where it goes, or where it listens, in words for a person.
     fn address(&self) -> String;
+
+    /// Takes `hear`, and calls it with all that comes from now on in place of having it received, where it has a thread to do so.
+    /// As it stands it has none, and gives `hear` back.
+    fn call(&self, hear: Hear) -> Result<(), Hear> {
+        Err(hear)
+    }
 }
+
+/// What is called with a datagram and where it came from.
+pub type Hear = Box<dyn Fn(&[u8], Option<SocketAddr>) + Send + Sync>;
 
 /// A socket of UDP.
 #[derive(Debug)]

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 
-use crate::carrier::Carrier;
+use crate::carrier::{Carrier, Hear};
 use crate::datagram::{
     Head, Kind, LONGEST, LONGEST_SAID, Offer, Session, Team, Welcome, nonce, open, seal, take,
 };
@@ -31,9 +31,9 @@ const WELCOMED: usize = 16;
 const WAITING: usize = 1 << 20;
 
 /// Who may be taken: what a runner has to know, or why it is not.
-type Judge = Box<dyn Fn(&Offer) -> Result<Team, String> + Send>;
+type Judge = Box<dyn Fn(&Offer) -> Result<Team, String> + Send + Sync>;
 
-/// The team's end: a thread hears, whoever has it says.
+/// The team's end: a thread hears, of its own or of the carrier, whoever has it says.
 pub struct Home {
     shared: Arc<Shared>,
     outgoing: Rc<RefCell<Vec<u8>>>,
@@ -76,19 +76,24 @@ impl Home {
     /// The system gives no thread that hears.
     pub fn open(
         LineSettings { carrier, key, copies }: LineSettings,
-        judge: impl Fn(&Offer) -> Result<Team, String> + Send + 'static,
-        wake: impl Fn() + Send + 'static,
+        judge: impl Fn(&Offer) -> Result<Team, String> + Send + Sync + 'static,
+        wake: impl Fn() + Send + Sync + 'static,
     ) -> Result<Self, LineError> {
-        let address = carrier.address();
         let (state, is_over) = (Mutex::default(), AtomicBool::new(false));
         let shared = Arc::new(Shared { carrier, key, copies, state, is_over });
-        let hearing = Arc::clone(&shared);
         let judge: Judge = Box::new(judge);
-        let hearing = std::thread::Builder::new()
-            .name("line".to_owned())
-            .spawn(move || hearing.hear(&judge, &wake))
-            .map_err(|source| LineError::Carrier { address, source })?;
-        Ok(Self { shared, outgoing: Rc::default(), hearing: Some(hearing) })
+        // The carrier may have it for longer than there is somebody to hear.
+        let listener = Arc::downgrade(&shared);
+        let hear: Hear = Box::new(move |datagram, from| {
+            if let Some(listener) = listener.upgrade() {
+                listener.hear(datagram, from, &judge, &wake);
+            }
+        });
+        let hearing = match shared.carrier.call(hear) {
+            Ok(()) => None,
+            Err(hear) => Some(shared.listen(hear)?),
+        };
+        Ok(Self { shared, outgoing: Rc::default(), hearing })
     }
 
     /// What a relay reads and writes.
@@ -145,20 +150,29 @@ impl Shared {
         }
     }
 
-    fn hear(&self, judge: &Judge, wake: &dyn Fn()) {
-        let mut buffer = vec![0; LONGEST];
-        while !self.is_over.load(Ordering::Relaxed) {
-            let Some((len, from)) = self.carrier.receive(&mut buffer) else {
-                self.carrier.wait(HEARTBEAT);
-                continue;
-            };
-            let datagram = buffer.get(..len).unwrap_or_default();
-            let Some((head, said)) = open(&self.key, datagram) else { continue };
-            match head.kind {
-                Kind::Offer => self.answer(head, said, from, judge),
-                Kind::Answered if self.state().takes(head, said, from) => wake(),
-                Kind::Answered | Kind::Welcome | Kind::Refusal | Kind::Shown => {}
+    /// Begins to receive in a thread, which ends when this is over.
+    fn listen(self: &Arc<Self>, hear: Hear) -> Result<JoinHandle<()>, LineError> {
+        let shared = Arc::clone(self);
+        let listen = move || {
+            let mut buffer = vec![0; LONGEST];
+            while !shared.is_over.load(Ordering::Relaxed) {
+                match shared.carrier.receive(&mut buffer) {
+                    Some((len, from)) => hear(buffer.get(..len).unwrap_or_default(), from),
+                    None => shared.carrier.wait(HEARTBEAT),
+                }
             }
+        };
+        let thread = std::thread::Builder::new().name("line".to_owned()).spawn(listen);
+        let address = || self.carrier.address();
+        thread.map_err(|source| LineError::Carrier { address: address(), source })
+    }
+
+    fn hear(&self, datagram: &[u8], from: Option<SocketAddr>, judge: &Judge, wake: &dyn Fn()) {
+        let Some((head, said)) = open(&self.key, datagram) else { return };
+        match head.kind {
+            Kind::Offer => self.answer(head, said, from, judge),
+            Kind::Answered if self.state().takes(head, said, from) => wake(),
+            Kind::Answered | Kind::Welcome | Kind::Refusal | Kind::Shown => {}
         }
     }
 

@@ -64,7 +64,7 @@ mod tests;
 use std::sync::Arc;
 
 pub use away::{Away, Rest, Taken};
-pub use carrier::{Carrier, Udp};
+pub use carrier::{Carrier, Hear, Udp};
 pub use datagram::{Offer, Team};
 pub use home::{Home, HomePort};
 pub use key::{Key, KeyError};

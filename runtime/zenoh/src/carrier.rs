@@ -1,11 +1,12 @@
 //! A session of zenoh as what carries a line.
 
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::net::SocketAddr;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
-use sortie_line::Carrier;
+use sortie_line::{Carrier, Hear};
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::{Session, Wait};
@@ -14,6 +15,9 @@ use crate::configuration::{End, ZenohError, ZenohSettings};
 
 /// Most datagrams that wait to be received; the oldest of more are lost, as on the way.
 const WAITING: usize = 1024;
+
+/// How long a session goes on after what was said last: its end goes before all that still waits to be sent, and that is lost.
+const FAREWELL: Duration = Duration::from_millis(50);
 
 /// One end of a line through zenoh: it publishes what it says, and subscribes to what the other end says.
 pub struct ZenohCarrier {
@@ -25,9 +29,10 @@ pub struct ZenohCarrier {
     _session: Session,
 }
 
-/// What came and was not received yet.
+/// What comes: it is told, or waits to be received.
 #[derive(Default)]
 struct Arrivals {
+    hear: OnceLock<Hear>,
     waiting: Mutex<VecDeque<Vec<u8>>>,
     came: Condvar,
 }
@@ -52,7 +57,7 @@ impl ZenohCarrier {
         let arriving = Arc::clone(&arrivals);
         let subscriber = session
             .declare_subscriber(settings.key(other))
-            .callback(move |sample| arriving.push(sample.payload().to_bytes().into_owned()))
+            .callback(move |sample| arriving.take(sample.payload().to_bytes()))
             .wait()
             .map_err(failed)?;
         // Blocked, a `put` waits for seconds and a world with it; in a batch, for others that it could go with.
@@ -67,18 +72,27 @@ impl ZenohCarrier {
     }
 }
 
+impl Drop for ZenohCarrier {
+    fn drop(&mut self) {
+        std::thread::sleep(FAREWELL);
+    }
+}
+
 impl Arrivals {
     /// What is behind the lock is whole at any time.
     fn waiting(&self) -> MutexGuard<'_, VecDeque<Vec<u8>>> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn push(&self, datagram: Vec<u8>) {
+    fn take(&self, datagram: Cow<'_, [u8]>) {
+        if let Some(hear) = self.hear.get() {
+            return hear(&datagram, None);
+        }
         let mut waiting = self.waiting();
         if waiting.len() == WAITING {
             waiting.pop_front();
         }
-        waiting.push_back(datagram);
+        waiting.push_back(datagram.into_owned());
         drop(waiting);
         self.came.notify_one();
     }
@@ -108,5 +122,10 @@ impl Carrier for ZenohCarrier {
 
     fn address(&self) -> String {
         self.address.clone()
+    }
+
+    /// A thread of zenoh's hears: another one would have to be woken first.
+    fn call(&self, hear: Hear) -> Result<(), Hear> {
+        self.arrivals.hear.set(hear)
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use zenoh::Config;
 
 /// What every session gets, whatever a file says: zenoh's own times are seconds, a team's are milliseconds.
-const TIMES: [(&str, &str); 8] = [
+const SETTINGS: [(&str, &str); 11] = [
     // Who says nothing for so long is gone: a socket of TCP keeps what was said into a cut, and a connection that is given up
     // takes it along.
     ("transport/link/tx/lease", "400"),
@@ -18,6 +18,12 @@ const TIMES: [(&str, &str); 8] = [
     // Who cannot send does not wait: the frame is late anyway, and a world would wait with it.
     ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", "0"),
     ("transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments", "0"),
+    // But there is room for a frame in pieces, and for last words that are said several times.
+    ("transport/link/tx/queue/size/real_time", "16"),
+    // With one queue for all priorities, lines of a thousand frames a second were cut and did not come back; the mode of low
+    // latency stalls.
+    ("transport/unicast/lowlatency", "false"),
+    ("transport/unicast/qos/enabled", "true"),
     // Not compiled in, and shut where a later version compiles it: containers share /dev/shm, and are other hosts.
     ("transport/shared_memory/enabled", "false"),
 ];
@@ -107,7 +113,7 @@ impl ZenohSettings<'_> {
                 reason: error.to_string(),
             })
         };
-        TIMES.into_iter().try_for_each(|(key, value)| set(key, value))?;
+        SETTINGS.into_iter().try_for_each(|(key, value)| set(key, value))?;
         if let Some(locator) = self.locator {
             let only = format!("[{locator:?}]");
             let (listen, connect) = match self.end {

@@ -14,7 +14,7 @@ use sortie_zenoh::{End, ZenohCarrier, ZenohError, ZenohSettings};
 
 const OFFER: Offer = Offer { abi: 3, contract: 7, model: [1; 16], agents: 0b110 };
 const SHAPE: Shape = Shape { agents: 3, entities: 5, tasks: 2, actions: 4, features: 6 };
-const PATIENCE: Duration = Duration::from_secs(30);
+const PATIENCE: Duration = Duration::from_secs(10);
 
 /// A locator that nobody listens at.
 fn free(protocol: &str) -> String {
@@ -110,6 +110,28 @@ fn either_end_may_die_and_come_back() {
         assert_eq!(third.team.host, 3);
         let mut third = third.line;
         talk(&home, &mut third, b"three");
+    }
+}
+
+#[test]
+fn last_words_arrive_before_the_end() {
+    for round in 0..20 {
+        let line = Line::at(&free(["tcp", "udp"][round % 2]));
+        let home = line.home(2);
+        let mut away = line.join().unwrap().line;
+        talk(&home, &mut away, b"here");
+        let mut port = home.port();
+        for _ in 0..5 {
+            port.write_all(b"still here").unwrap();
+            home.send();
+        }
+        port.write_all(b"the end").unwrap();
+        home.send_last();
+        drop((port, home));
+        let mut heard = Vec::new();
+        while !heard.ends_with(b"the end") {
+            heard.extend(read(&mut away));
+        }
     }
 }
 
