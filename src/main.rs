@@ -9,5 +9,6 @@ fn main() -> ExitCode {
         version: sortie_version::SHORT,
         built: sortie_version::LONG,
         tools: None,
+        zenoh: None,
     })
 }

@@ -1,8 +1,6 @@
-//! `sortie join`: acts for agents of a team that is up on another host; and what both hosts say about the line between them.
+//! `sortie join`: acts for agents of a team that is up on another host.
 
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
-use std::process::Command;
 use std::time::Duration;
 
 use clap::Args;
@@ -12,10 +10,11 @@ use sortie_core::link::{Bell, Clock, FrameBlock, LinkError, Serial, packet_bytes
 use sortie_core::roles::{Identity, Poll, RunnerOptions, RunnerRole};
 use sortie_core::wire::{ABI, FrameFormat};
 use sortie_ipc::{BUILD, DomainFacts, Error, HostProcess, Stop};
-use sortie_line::{Away, Key, KeyError, LineSettings, Offer, Rest, Taken};
+use sortie_line::{Away, LineSettings, Offer, Rest, Taken};
 
 use crate::deployment::{domain_contract, model_id};
 use crate::failure::{Exit, Failure, Outcome};
+use crate::line::{LineArguments, LineEnd, Place};
 use crate::output::{plural, tell};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::stop_on_signals;
@@ -29,8 +28,6 @@ const LEAST_SILENCE: Duration = Duration::from_millis(300);
 const HEARTBEAT_NS: u64 = 100_000_000;
 /// The share of a period that a round trip may take: the rest is for deciding.
 const SHARE_OF_PERIOD: f64 = 0.8;
-/// Where a team listens if nobody says: nobody else than this host reaches it.
-pub(crate) const LOOPBACK: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 7447);
 
 /// Act for agents of a team that is up on another host
 ///
@@ -41,11 +38,12 @@ pub(crate) const LOOPBACK: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOC
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   sortie up models/save-the-city --rate 100 --away 3,4 --listen 192.168.1.5:7447 --key line.key    # on the first host
-  sortie join 192.168.1.5:7447 models/save-the-city --agents 3,4 --key line.key                    # on the second one")]
+  sortie join 192.168.1.5:7447 models/save-the-city --agents 3,4 --key line.key                    # on the second one
+  sortie join zenoh/tcp/192.168.1.5:7447 models/save-the-city --agents 3,4 --key line.key          # through zenoh")]
 pub(crate) struct JoinArguments {
-    /// Where the team listens, HOST:PORT
-    #[arg(value_name = "HOST:PORT")]
-    address: String,
+    /// Where the team listens: HOST:PORT, or through zenoh `zenoh/tcp/HOST:PORT`
+    #[arg(value_name = "ADDRESS")]
+    address: Place,
     /// Folder of the bundle, the same as the team's
     bundle: PathBuf,
     /// Agents to act for: all that the team left to this line
@@ -53,74 +51,14 @@ pub(crate) struct JoinArguments {
     agents: Vec<u16>,
     #[command(flatten)]
     line: LineArguments,
+    /// Through zenoh: the team's domain, by which teams at one router are told apart
+    #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
+    domain: String,
     /// What executes the networks
     #[arg(long, value_enum, default_value_t = Backend::Plan)]
     backend: Backend,
     #[command(flatten)]
     trust: TrustArguments,
-}
-
-/// What both ends of a line have to be told.
-#[derive(Clone, Debug, Default, Args)]
-pub(crate) struct LineArguments {
-    /// File with the secret of both hosts; `sortie up` makes it where it is missing
-    #[arg(long, value_name = "FILE", conflicts_with = "plain")]
-    key: Option<PathBuf>,
-    /// Without a secret: whoever reaches the address may act for the agents
-    #[arg(long)]
-    plain: bool,
-    /// Say everything twice, for a line that loses datagrams
-    #[arg(long)]
-    twice: bool,
-}
-
-impl LineArguments {
-    /// The secret that was named, or none where none is wanted.
-    fn key(&self) -> Result<Key, Failure> {
-        match &self.key {
-            Some(file) => Key::read(file).map_err(unusable),
-            None if self.plain => Ok(Key::plain()),
-            None => Err(Failure::new(
-                Exit::Usage,
-                "a line has a secret: name its file by --key, or do without by --plain",
-            )),
-        }
-    }
-
-    /// The same; a secret that is missing is made.
-    pub(crate) fn key_or_new(&self) -> Result<Key, Failure> {
-        if let Some(file) = self.key.as_deref().filter(|file| !file.exists()) {
-            Key::create(file).map_err(unusable)?;
-            tell!("{} is a new secret: the other host needs a copy of it", file.display());
-        }
-        self.key()
-    }
-
-    /// Of the line to this address, or of the end that listens there.
-    pub(crate) fn settings(&self, address: SocketAddr) -> Result<LineSettings, Failure> {
-        Ok(LineSettings { address, key: self.key()?, copies: if self.twice { 2 } else { 1 } })
-    }
-
-    /// As flags for another process.
-    pub(crate) fn put(&self, command: &mut Command) {
-        if let Some(file) = &self.key {
-            command.arg("--key").arg(file);
-        }
-        for (flag, is_set) in [("--plain", self.plain), ("--twice", self.twice)] {
-            if is_set {
-                command.arg(flag);
-            }
-        }
-    }
-}
-
-fn unusable(error: KeyError) -> Failure {
-    let exit = match error {
-        KeyError::File { .. } => Exit::Missing,
-        KeyError::Readable { .. } => Exit::NotPermitted,
-        KeyError::Short { .. } => Exit::BadData,
-    };
-    Failure::new(exit, error.to_string())
 }
 
 /// Why a runner acts no more.
@@ -135,18 +73,22 @@ enum End {
 
 pub(crate) fn run(arguments: &JoinArguments) -> Outcome {
     let stop = stop_on_signals()?;
+    let JoinArguments { address, domain, agents, line, .. } = arguments;
+    line.check(address)?;
+    // Before the bundle is opened: another program may go on from here.
+    let end = LineEnd { is_home: false, place: address, domain, agents };
+    let settings = line.settings(&end)?;
     let bundle = arguments.trust.open_bundle(&arguments.bundle)?;
     let mut policy = DeployedPolicy::open(&bundle, arguments.backend)?;
-    let address = resolve(&arguments.address)?;
     let offer = Offer {
         abi: ABI,
         contract: bundle.contract().hash(),
         model: model_id(&bundle),
-        agents: seats(&arguments.agents)?,
+        agents: seats(agents)?,
     };
     let mut patience = PATIENCE;
     loop {
-        let taken = connect(arguments, address, offer, patience, &stop)?;
+        let taken = connect(arguments, settings.clone(), offer, patience, &stop)?;
         // Who was there once may come again.
         patience = Duration::MAX;
         match act(&bundle, policy.team()?.as_mut(), &taken, offer, &stop)? {
@@ -159,13 +101,13 @@ pub(crate) fn run(arguments: &JoinArguments) -> Outcome {
 
 fn connect(
     arguments: &JoinArguments,
-    address: SocketAddr,
+    settings: LineSettings,
     offer: Offer,
     patience: Duration,
     stop: &Stop,
 ) -> Result<Taken, Failure> {
-    let JoinArguments { agents, line, .. } = arguments;
-    let taken = Away::connect(line.settings(address)?, offer, patience, &|| stop.is_set());
+    let JoinArguments { address, agents, .. } = arguments;
+    let taken = Away::connect(settings, offer, patience, &|| stop.is_set());
     let taken = taken.map_err(|error| Failure::from(Error::from(error)))?;
     let period = Duration::from_nanos(taken.team.period_ns);
     if !period.is_zero() && taken.round_trip > period.mul_f64(SHARE_OF_PERIOD) {
@@ -263,15 +205,6 @@ fn play(
             }
         }
     }
-}
-
-fn resolve(address: &str) -> Result<SocketAddr, Failure> {
-    let unknown = |why: String| {
-        let message = format!("`{address}` is no address of a host and its port: {why}");
-        Failure::new(Exit::Usage, message)
-    };
-    let mut found = address.to_socket_addrs().map_err(|error| unknown(error.to_string()))?;
-    found.next().ok_or_else(|| unknown("nobody has it".to_owned()))
 }
 
 fn seats(agents: &[u16]) -> Result<u64, Failure> {

@@ -1,7 +1,7 @@
 //! The command line of Sortie: teams of learned agents, from training to deployment.
 //!
-//! Both programs are this library: `sortie` as it is, `sortie-tools` with engines for ONNX graphs and the verbs that need or
-//! measure them. What is public here is what those verbs share with the others, and no interface for anybody else.
+//! All programs are this library: `sortie` as it is, `sortie-tools` with engines for ONNX graphs and the verbs that need or
+//! measure them, `sortie-zenoh` with zenoh for lines between hosts. What is public here is what those verbs share with the others, and no interface for anybody else.
 #![expect(
     missing_docs,
     reason = "public for the program beside, where names say it; no interface for anybody else"
@@ -25,6 +25,7 @@ pub mod guards;
 mod inspect;
 mod join;
 pub mod latency;
+pub mod line;
 mod listener;
 pub mod methods;
 pub mod npz;
@@ -56,9 +57,10 @@ pub use views::cast;
 use std::process::ExitCode;
 
 use crate::failure::Outcome;
+use crate::line::Zenoh;
 use crate::tools::Tools;
 
-/// What differs between the two programs.
+/// What differs between the programs.
 pub struct Program {
     /// `0.1.0 (077de5c 2026-11-22)`.
     pub version: &'static str,
@@ -66,6 +68,8 @@ pub struct Program {
     pub built: &'static str,
     /// What `sortie-tools` has and `sortie` has not.
     pub tools: Option<&'static dyn Tools>,
+    /// What `sortie-zenoh` has and `sortie` has not.
+    pub zenoh: Option<&'static dyn Zenoh>,
 }
 
 /// Does what the command line says.

@@ -53,12 +53,17 @@ pub(crate) fn start(program: &'static Program) {
     let _ = RUNNING.set(program);
 }
 
+/// The program that runs, once it is known.
+pub(crate) fn running() -> Option<&'static Program> {
+    RUNNING.get().copied()
+}
+
 fn linked() -> Option<&'static dyn Tools> {
-    RUNNING.get().and_then(|program| program.tools)
+    running().and_then(|program| program.tools)
 }
 
 fn version() -> &'static str {
-    RUNNING.get().map_or("", |program| program.version)
+    running().map_or("", |program| program.version)
 }
 
 /// The engines of this program; where it has none, the program that has them goes on in its place.
@@ -116,6 +121,11 @@ pub(crate) fn prefer_tools() -> Outcome {
 
 /// Goes on as the program with engines; returns only where that cannot be started.
 fn become_tools() -> Failure {
+    // That one would go on as this one, where it comes to the line.
+    if running().is_some_and(|program| program.zenoh.is_some()) {
+        let message = "a line through zenoh and ONNX graphs are in different programs: leave out `--backend tract`, or join over UDP";
+        return Failure::new(Exit::Usage, message);
+    }
     if let Err(failure) = check_program() {
         return failure;
     }

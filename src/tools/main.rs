@@ -32,6 +32,7 @@ fn main() -> ExitCode {
         version: sortie_version::SHORT,
         built: sortie_version::LONG,
         tools: Some(&Linked),
+        zenoh: None,
     })
 }
 

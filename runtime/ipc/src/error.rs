@@ -269,7 +269,7 @@ impl Error {
             Self::RealTime { .. } => 77,
             Self::Contract { .. } | Self::SchemaInUse { .. } | Self::Limits { .. } => 78,
             Self::Frames { .. } | Self::OtherPolicy { .. } | Self::OtherWorld { .. } => 78,
-            Self::Line(LineError::Socket { .. }) => 74,
+            Self::Line(LineError::Carrier { .. }) => 74,
             Self::Line(LineError::NoAnswer { .. }) => 69,
             Self::Line(LineError::Busy { .. }) => 75,
             Self::Line(LineError::Refused { .. }) => 78,

@@ -3,17 +3,15 @@
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::io::ErrorKind;
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use sortie_core::link::{Clock, Processor};
 
+use crate::carrier::Carrier;
 use crate::datagram::{
     Head, Kind, LONGEST, LONGEST_SAID, Offer, Session, Team, Welcome, nonce, open, seal, take,
 };
@@ -32,7 +30,7 @@ const ROUND_TRIPS: u64 = 8;
 pub struct Away(Rc<RefCell<End>>);
 
 struct End {
-    socket: Arc<UdpSocket>,
+    carrier: Arc<dyn Carrier>,
     key: Key,
     copies: usize,
     offer: Vec<u8>,
@@ -65,25 +63,18 @@ impl Away {
     /// # Errors
     /// Nobody answers, or the team does not take it.
     pub fn connect(
-        LineSettings { address, key, copies }: LineSettings,
+        LineSettings { carrier, key, copies }: LineSettings,
         offer: Offer,
         patience: Duration,
         is_stopped: &dyn Fn() -> bool,
     ) -> Result<Taken, LineError> {
-        let failed = |source| LineError::Socket { address: address.to_string(), source };
-        let any: SocketAddr = match address {
-            SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
-            SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
-        };
-        let socket = UdpSocket::bind(any).map_err(failed)?;
-        socket.connect(address).map_err(failed)?;
-        socket.set_nonblocking(true).map_err(failed)?;
+        let failed = |source| LineError::Carrier { address: carrier.address(), source };
         let offer = postcard::to_stdvec(&offer).map_err(std::io::Error::other).map_err(failed)?;
         let own = nonce().map_err(failed)?;
         let now = Instant::now();
         let mut end = End {
             session: Session::new(&key, own, 0),
-            socket: Arc::new(socket),
+            carrier,
             key,
             copies,
             offer,
@@ -96,14 +87,14 @@ impl Away {
             is_replaced: false,
             buffer: vec![0; LONGEST],
         };
-        let (team, round_trip) = end.offer_until_taken(address, patience, is_stopped)?;
+        let (team, round_trip) = end.offer_until_taken(patience, is_stopped)?;
         Ok(Taken { line: Self(Rc::new(RefCell::new(end))), team, round_trip })
     }
 
     /// What waits for a packet and knows the time.
     pub fn rest(&self) -> Rest {
-        let socket = Arc::clone(&self.0.borrow().socket);
-        Rest { socket, began: Instant::now(), until_ns: AtomicU64::new(0) }
+        let carrier = Arc::clone(&self.0.borrow().carrier);
+        Rest { carrier, began: Instant::now(), until_ns: AtomicU64::new(0) }
     }
 
     /// Says what was written since, in one datagram, and offers the runner anew where the team has been silent for long.
@@ -133,11 +124,10 @@ impl Away {
 impl End {
     fn offer_until_taken(
         &mut self,
-        address: SocketAddr,
         patience: Duration,
         is_stopped: &dyn Fn() -> bool,
     ) -> Result<(Team, Duration), LineError> {
-        let address = address.to_string();
+        let address = self.carrier.address();
         let (began, mut shortest, mut number) = (Instant::now(), None::<Duration>, 0);
         let mut is_taken = false;
         loop {
@@ -184,7 +174,7 @@ impl End {
     fn await_answer(&mut self, number: u64, since: Instant) -> Option<(Head, Vec<u8>)> {
         while since.elapsed() < OFFER_EVERY {
             let Some((head, words)) = self.receive() else {
-                await_packet(&self.socket, OFFER_EVERY.saturating_sub(since.elapsed()));
+                self.carrier.wait(OFFER_EVERY.saturating_sub(since.elapsed()));
                 continue;
             };
             let is_answer = matches!(head.kind, Kind::Welcome | Kind::Refusal);
@@ -201,28 +191,20 @@ impl End {
         self.say(Head { kind: Kind::Offer, session: self.own, number }, &offer);
     }
 
-    /// What cannot be sent is lost, as on the way.
     fn say(&self, head: Head, said: &[u8]) {
         let datagram = seal(&self.key, head, said);
         for _ in 0..self.copies {
-            let _ = self.socket.send(&datagram);
+            self.carrier.send(&datagram, None);
         }
     }
 
     /// The next datagram of whoever has the key, if one has come.
     fn receive(&mut self) -> Option<(Head, Vec<u8>)> {
         loop {
-            match self.socket.recv(&mut self.buffer) {
-                Ok(len) => {
-                    let datagram = self.buffer.get(..len)?;
-                    if let Some((head, said)) = open(&self.key, datagram) {
-                        return Some((head, said.to_vec()));
-                    }
-                }
-                Err(error) if error.kind() == ErrorKind::WouldBlock => return None,
-                // Nobody listened there when the last one came: that may change.
-                Err(error) if error.kind() == ErrorKind::ConnectionRefused => {}
-                Err(_) => return None,
+            let (len, _) = self.carrier.receive(&mut self.buffer)?;
+            let datagram = self.buffer.get(..len)?;
+            if let Some((head, said)) = open(&self.key, datagram) {
+                return Some((head, said.to_vec()));
             }
         }
     }
@@ -279,7 +261,7 @@ impl Write for Away {
 
 /// Sleeps until a packet comes, or a time that was stated.
 pub struct Rest {
-    socket: Arc<UdpSocket>,
+    carrier: Arc<dyn Carrier>,
     began: Instant,
     until_ns: AtomicU64,
 }
@@ -301,13 +283,6 @@ impl Clock for Rest {
 impl Processor for Rest {
     fn rest(&self) {
         let left_ns = self.until_ns.load(Ordering::Relaxed).saturating_sub(self.now_ns());
-        await_packet(&self.socket, Duration::from_nanos(left_ns));
+        self.carrier.wait(Duration::from_nanos(left_ns));
     }
-}
-
-/// Waits in nanoseconds: timeouts of sockets count ticks of the kernel.
-fn await_packet(socket: &UdpSocket, most: Duration) {
-    let most = Timespec { tv_sec: most.as_secs() as i64, tv_nsec: most.subsec_nanos().into() };
-    // Woken or not, the socket is looked at.
-    let _ = poll(&mut [PollFd::new(socket, PollFlags::IN)], Some(&most));
 }

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 
+use crate::carrier::{Carrier, Hear};
 use crate::datagram::{
     Head, Kind, LONGEST, LONGEST_SAID, Offer, Session, Team, Welcome, nonce, open, seal, take,
 };
@@ -20,17 +21,19 @@ use crate::{LineError, LineSettings};
 
 /// A runner that has not been heard for so long gives way to another one.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Longest wait in the socket, so that the end is noticed.
+/// Longest wait for a datagram, so that the end is noticed.
 const HEARTBEAT: Duration = Duration::from_millis(100);
 /// How often last words are said: of a tenth lost, one in ten million times none of them arrives.
 const LAST_WORDS: usize = 7;
+/// Most runners that were welcomed and have not said anything yet.
+const WELCOMED: usize = 16;
 /// Most bytes that wait to be read; what is older was of ticks that are over.
 const WAITING: usize = 1 << 20;
 
 /// Who may be taken: what a runner has to know, or why it is not.
-type Judge = Box<dyn Fn(&Offer) -> Result<Team, String> + Send>;
+type Judge = Box<dyn Fn(&Offer) -> Result<Team, String> + Send + Sync>;
 
-/// The team's end: a thread hears, whoever has it says.
+/// The team's end: a thread hears, of its own or of the carrier, whoever has it says.
 pub struct Home {
     shared: Arc<Shared>,
     outgoing: Rc<RefCell<Vec<u8>>>,
@@ -38,7 +41,7 @@ pub struct Home {
 }
 
 struct Shared {
-    socket: UdpSocket,
+    carrier: Arc<dyn Carrier>,
     key: Key,
     /// How often everything is said.
     copies: usize,
@@ -50,8 +53,9 @@ struct Shared {
 struct State {
     /// Who acts, as far as the team knows.
     runner: Option<Runner>,
-    /// Who was welcomed last, and has not said anything yet: whoever repeats what another one said before it never does.
-    welcomed: Option<Runner>,
+    /// Who was welcomed, and has not said anything yet, the newest last. Whoever repeats an offer of another one never does, and
+    /// keeps nobody from it.
+    welcomed: VecDeque<Runner>,
     incoming: VecDeque<u8>,
     heard: Option<Instant>,
 }
@@ -61,39 +65,35 @@ struct Runner {
     own: u64,
     team: u64,
     session: Session,
-    address: SocketAddr,
+    /// Where it was heard from last, as far as the carrier tells.
+    address: Option<SocketAddr>,
 }
 
 impl Home {
     /// Listens for a runner that `judge` takes; `wake` is called whenever there is something to read.
     ///
     /// # Errors
-    /// The address cannot be listened at.
+    /// The system gives no thread that hears.
     pub fn open(
-        LineSettings { address, key, copies }: LineSettings,
-        judge: impl Fn(&Offer) -> Result<Team, String> + Send + 'static,
-        wake: impl Fn() + Send + 'static,
+        LineSettings { carrier, key, copies }: LineSettings,
+        judge: impl Fn(&Offer) -> Result<Team, String> + Send + Sync + 'static,
+        wake: impl Fn() + Send + Sync + 'static,
     ) -> Result<Self, LineError> {
-        let failed = |source| LineError::Socket { address: address.to_string(), source };
-        let socket = UdpSocket::bind(address).map_err(failed)?;
-        socket.set_read_timeout(Some(HEARTBEAT)).map_err(failed)?;
         let (state, is_over) = (Mutex::default(), AtomicBool::new(false));
-        let shared = Arc::new(Shared { socket, key, copies, state, is_over });
-        let hearing = Arc::clone(&shared);
+        let shared = Arc::new(Shared { carrier, key, copies, state, is_over });
         let judge: Judge = Box::new(judge);
-        let hearing = std::thread::Builder::new()
-            .name("line".to_owned())
-            .spawn(move || hearing.hear(&judge, &wake))
-            .map_err(failed)?;
-        Ok(Self { shared, outgoing: Rc::default(), hearing: Some(hearing) })
-    }
-
-    /// Where it listens.
-    ///
-    /// # Errors
-    /// The system does not tell.
-    pub fn address(&self) -> std::io::Result<SocketAddr> {
-        self.shared.socket.local_addr()
+        // The carrier may have it for longer than there is somebody to hear.
+        let listener = Arc::downgrade(&shared);
+        let hear: Hear = Box::new(move |datagram, from| {
+            if let Some(listener) = listener.upgrade() {
+                listener.hear(datagram, from, &judge, &wake);
+            }
+        });
+        let hearing = match shared.carrier.call(hear) {
+            Ok(()) => None,
+            Err(hear) => Some(shared.listen(hear)?),
+        };
+        Ok(Self { shared, outgoing: Rc::default(), hearing })
     }
 
     /// What a relay reads and writes.
@@ -143,30 +143,40 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What cannot be sent is lost, as on the way.
-    fn say(&self, head: Head, said: &[u8], address: SocketAddr, copies: usize) {
+    fn say(&self, head: Head, said: &[u8], address: Option<SocketAddr>, copies: usize) {
         let datagram = seal(&self.key, head, said);
         for _ in 0..copies {
-            let _ = self.socket.send_to(&datagram, address);
+            self.carrier.send(&datagram, address);
         }
     }
 
-    fn hear(&self, judge: &Judge, wake: &dyn Fn()) {
-        let mut buffer = vec![0; LONGEST];
-        while !self.is_over.load(Ordering::Relaxed) {
-            // Nothing came; or an earlier datagram was not taken where it went.
-            let Ok((len, from)) = self.socket.recv_from(&mut buffer) else { continue };
-            let datagram = buffer.get(..len).unwrap_or_default();
-            let Some((head, said)) = open(&self.key, datagram) else { continue };
-            match head.kind {
-                Kind::Offer => self.answer(head, said, from, judge),
-                Kind::Answered if self.state().takes(head, said, from) => wake(),
-                Kind::Answered | Kind::Welcome | Kind::Refusal | Kind::Shown => {}
+    /// Begins to receive in a thread, which ends when this is over.
+    fn listen(self: &Arc<Self>, hear: Hear) -> Result<JoinHandle<()>, LineError> {
+        let shared = Arc::clone(self);
+        let listen = move || {
+            let mut buffer = vec![0; LONGEST];
+            while !shared.is_over.load(Ordering::Relaxed) {
+                match shared.carrier.receive(&mut buffer) {
+                    Some((len, from)) => hear(buffer.get(..len).unwrap_or_default(), from),
+                    None => shared.carrier.wait(HEARTBEAT),
+                }
             }
+        };
+        let thread = std::thread::Builder::new().name("line".to_owned()).spawn(listen);
+        let address = || self.carrier.address();
+        thread.map_err(|source| LineError::Carrier { address: address(), source })
+    }
+
+    fn hear(&self, datagram: &[u8], from: Option<SocketAddr>, judge: &Judge, wake: &dyn Fn()) {
+        let Some((head, said)) = open(&self.key, datagram) else { return };
+        match head.kind {
+            Kind::Offer => self.answer(head, said, from, judge),
+            Kind::Answered if self.state().takes(head, said, from) => wake(),
+            Kind::Answered | Kind::Welcome | Kind::Refusal | Kind::Shown => {}
         }
     }
 
-    fn answer(&self, head: Head, said: &[u8], from: SocketAddr, judge: &Judge) {
+    fn answer(&self, head: Head, said: &[u8], from: Option<SocketAddr>, judge: &Judge) {
         let judged = match postcard::from_bytes(said) {
             Ok(offer) => judge(&offer),
             Err(_) => Err("its version of the line is another one".to_owned()),
@@ -189,9 +199,9 @@ impl Shared {
 
 impl State {
     /// The team's part of a session with this runner; none while another one acts.
-    fn welcome(&mut self, own: u64, address: SocketAddr, key: &Key) -> Option<u64> {
-        let known = [&self.runner, &self.welcomed].into_iter().flatten();
-        if let Some(known) = known.into_iter().find(|known| known.own == own) {
+    fn welcome(&mut self, own: u64, address: Option<SocketAddr>, key: &Key) -> Option<u64> {
+        let mut known = self.runner.iter().chain(&self.welcomed);
+        if let Some(known) = known.find(|known| known.own == own) {
             return Some(known.team);
         }
         if self.heard.is_some_and(|heard| heard.elapsed() < PATIENCE) {
@@ -199,15 +209,19 @@ impl State {
         }
         let team = nonce().ok()?;
         let session = Session::new(key, own, team);
-        self.welcomed = Some(Runner { own, team, session, address });
+        if self.welcomed.len() == WELCOMED {
+            self.welcomed.pop_front();
+        }
+        self.welcomed.push_back(Runner { own, team, session, address });
         Some(team)
     }
 
     /// Whether it is news of the runner, which then waits to be read.
-    fn takes(&mut self, head: Head, said: &[u8], from: SocketAddr) -> bool {
-        // With the first words of a session it begins, and an earlier one is over.
-        if let Some(next) = self.welcomed.take_if(|next| next.session.is_of(&head)) {
-            self.runner = Some(next);
+    fn takes(&mut self, head: Head, said: &[u8], from: Option<SocketAddr>) -> bool {
+        // With the first words of a session it begins, and an earlier one is over, as is every other that was to begin.
+        if let Some(next) = self.welcomed.iter().position(|next| next.session.is_of(&head)) {
+            self.runner = self.welcomed.remove(next);
+            self.welcomed.clear();
         }
         let Some(runner) = &mut self.runner else { return false };
         if !runner.session.takes(&head) {

@@ -1,8 +1,8 @@
 //! A line between two hosts, for the runner of some agents that is elsewhere than its team.
 //!
 //! The team's end, [`Home`], stands by a [`Relay`](sortie_core::link::Relay), the runner's end, [`Away`], by a
-//! [`Serial`](sortie_core::link::Serial): what goes over a serial line goes over a socket, a datagram for all that is said at
-//! once. Datagrams get lost, come twice, or late. Each carries the session that both ends agreed on, a number, and a checksum
+//! [`Serial`](sortie_core::link::Serial): what goes over a serial line goes over a [`Carrier`], a datagram for all that is said at
+//! once: over [`Udp`], or over what somebody else brings. Datagrams get lost, come twice, or late. Each carries the session that both ends agreed on, a number, and a checksum
 //! that nobody can make without the [`Key`]: what is of another session, or not newer than all before, is dropped, so that
 //! nothing old is ever acted upon.
 //!
@@ -13,11 +13,12 @@
 //! matters, the line belongs into a tunnel.
 //!
 //! ```
+//! use std::sync::Arc;
 //! use std::time::Duration;
 //!
 //! use embedded_io::{Read, ReadReady, Write};
 //! use sortie_core::Shape;
-//! use sortie_line::{Away, Home, Key, LineSettings, Offer, Team};
+//! use sortie_line::{Away, Home, Key, LineSettings, Offer, Team, Udp};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let shape = Shape { agents: 5, entities: 11, tasks: 6, actions: 13, features: 58 };
@@ -27,12 +28,14 @@
 //!     true => Ok(team),
 //!     false => Err("it is another runner".to_owned()),
 //! };
-//! let settings = LineSettings { address: "127.0.0.1:0".parse()?, key: Key::plain(), copies: 1 };
+//! let listening = Arc::new(Udp::listen("127.0.0.1:0".parse()?)?);
+//! let address = listening.own_address()?;
+//! let settings = LineSettings { carrier: listening, key: Key::plain(), copies: 1 };
 //! let home = Home::open(settings.clone(), judge, || ())?;
 //!
 //! // On the other host.
 //! let patience = Duration::from_secs(5);
-//! let settings = LineSettings { address: home.address()?, ..settings };
+//! let settings = LineSettings { carrier: Arc::new(Udp::connect(address)?), ..settings };
 //! let taken = Away::connect(settings, wanted, patience, &|| false)?;
 //! assert_eq!(taken.team.shape(), shape);
 //! let mut line = taken.line;
@@ -51,24 +54,26 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod away;
+mod carrier;
 mod datagram;
 mod home;
 mod key;
 #[cfg(test)]
 mod tests;
 
-use std::net::SocketAddr;
+use std::sync::Arc;
 
 pub use away::{Away, Rest, Taken};
+pub use carrier::{Carrier, Hear, Udp};
 pub use datagram::{Offer, Team};
 pub use home::{Home, HomePort};
 pub use key::{Key, KeyError};
 
 /// What both ends of a line are opened with.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct LineSettings {
-    /// Where the team's end listens, and the runner's finds it.
-    pub address: SocketAddr,
+    /// What carries its datagrams.
+    pub carrier: Arc<dyn Carrier>,
     /// The secret of both.
     pub key: Key,
     /// How often everything is said, for lines that lose much.
@@ -78,9 +83,9 @@ pub struct LineSettings {
 /// Why a line is not opened.
 #[derive(Debug, thiserror::Error)]
 pub enum LineError {
-    /// The socket failed.
+    /// What carries it failed.
     #[error("the line to {address} fails: {source}")]
-    Socket {
+    Carrier {
         /// Where it goes, or where it listens.
         address: String,
         /// What the system says.

@@ -1,5 +1,7 @@
 //! Both ends over a socket of this machine, with somebody between them who loses, doubles and keeps what is said.
 
+mod memory;
+
 use std::convert::Infallible;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -10,7 +12,7 @@ use embedded_io::{Read, ReadReady, Write};
 use sortie_core::Shape;
 
 use crate::datagram::{Head, Kind, seal};
-use crate::{Away, Home, Key, LineError, LineSettings, Offer, Taken, Team};
+use crate::{Away, Home, Key, LineError, LineSettings, Offer, Taken, Team, Udp};
 
 const OFFER: Offer = Offer { abi: 3, contract: 7, model: [1; 16], agents: 0b110 };
 const SHAPE: Shape = Shape { agents: 3, entities: 5, tasks: 2, actions: 4, features: 6 };
@@ -23,14 +25,19 @@ fn judge(offer: &Offer) -> Result<Team, String> {
     }
 }
 
+/// Of the end of a runner whose team listens at this address.
 fn settings(address: SocketAddr, key: Key) -> LineSettings {
-    LineSettings { address, key, copies: 1 }
+    LineSettings { carrier: Arc::new(Udp::connect(address).unwrap()), key, copies: 1 }
 }
 
 fn home(key: Key) -> (Home, SocketAddr) {
-    let home = Home::open(settings(ANY, key), judge, || ()).unwrap();
-    let address = home.address().unwrap();
-    (home, address)
+    home_at(ANY, key)
+}
+
+fn home_at(address: SocketAddr, key: Key) -> (Home, SocketAddr) {
+    let carrier = Arc::new(Udp::listen(address).unwrap());
+    let address = carrier.own_address().unwrap();
+    (Home::open(LineSettings { carrier, key, copies: 1 }, judge, || ()).unwrap(), address)
 }
 
 fn connect(address: SocketAddr, key: Key, offer: Offer) -> Result<Taken, LineError> {
@@ -114,7 +121,7 @@ fn another_end_of_the_team_is_noticed() {
     line.send();
     assert_eq!(read(&mut first.port()), b"x");
     drop(first);
-    let _second = Home::open(settings(address, Key::plain()), judge, || ()).unwrap();
+    let _second = home_at(address, Key::plain());
     let until = Instant::now() + Duration::from_secs(5);
     while !line.is_replaced() && Instant::now() < until {
         line.send();

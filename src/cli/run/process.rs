@@ -1,6 +1,5 @@
 //! A process of a team: what `run` and `up` start.
 
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -19,7 +18,7 @@ use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::{beside, bundle_name, domain_contract, is_bundle_name, model_id};
 use crate::environment::entry_of;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::join::{LOOPBACK, LineArguments};
+use crate::line::{LineArguments, LineEnd, Place};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::stop_on_signals;
 use crate::trust::TrustArguments;
@@ -37,8 +36,8 @@ pub(crate) struct ProcessArguments {
     #[arg(long, value_delimiter = ',')]
     agents: Vec<u16>,
     /// Where a stand-in listens for the runner on another host
-    #[arg(long, value_name = "IP:PORT", default_value_t = LOOPBACK)]
-    listen: SocketAddr,
+    #[arg(long, value_name = "ADDRESS", default_value_t = Place::loopback())]
+    listen: Place,
     #[command(flatten)]
     line: LineArguments,
     #[arg(long, value_enum)]
@@ -134,8 +133,9 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
             play(&world, &arguments.playing, &domain, &stop)
         }
         Role::StandIn => {
-            let line = arguments.line.settings(arguments.listen)?;
-            let agents = &arguments.agents;
+            let ProcessArguments { agents, listen: place, domain: name, .. } = arguments;
+            let end = LineEnd { is_home: true, place, domain: name, agents };
+            let line = arguments.line.settings(&end)?;
             outcome(stand_in_process(&domain, &contract, agents, line, &settings, &stop))
         }
         Role::Runner => act(arguments, (&bundle, &contract), &domain, &settings, &stop),

@@ -1,6 +1,5 @@
 //! `sortie up`: a team as supervised processes that go on whatever dies.
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
@@ -18,7 +17,7 @@ use crate::allocation::AllocatorChoice;
 use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::domain_contract;
 use crate::failure::{Exit, Failure, Outcome};
-use crate::join::{LOOPBACK, LineArguments};
+use crate::line::{LineArguments, Place};
 use crate::output::{Common, tell, wrapped};
 use crate::policy::{Backend, DeployedPolicy};
 use crate::terminal::{line_width, stop_on_signals};
@@ -59,9 +58,9 @@ pub(crate) struct UpArguments {
     /// Agents for which `sortie join` acts on another host, in one process
     #[arg(long, value_delimiter = ',', value_name = "AGENTS", conflicts_with = "private")]
     away: Vec<u16>,
-    /// Where that host finds this one
-    #[arg(long, value_name = "IP:PORT", default_value_t = LOOPBACK)]
-    listen: SocketAddr,
+    /// Where that host finds this one: IP:PORT, or through zenoh `zenoh/tcp/IP:PORT`
+    #[arg(long, value_name = "ADDRESS", default_value_t = Place::loopback())]
+    listen: Place,
     #[command(flatten)]
     line: LineArguments,
     /// The world acts, by the bundle's policy, for agents whose process is missing
@@ -188,7 +187,7 @@ fn charges(
 
 /// Refuses agents that are nobody's to leave to another host, and makes the secret of the line to it.
 fn check_away(arguments: &UpArguments, agents: usize) -> Outcome {
-    let UpArguments { away, playing, line, .. } = arguments;
+    let UpArguments { away, listen, playing, line, .. } = arguments;
     if away.is_empty() {
         return Ok(());
     }
@@ -199,6 +198,7 @@ fn check_away(arguments: &UpArguments, agents: usize) -> Outcome {
         let message = format!("there is no agent {agent} to be away, or it is absent");
         return Err(Failure::new(Exit::Usage, message));
     }
+    line.check(listen)?;
     line.key_or_new().map(drop)
 }
 

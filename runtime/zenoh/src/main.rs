@@ -1,0 +1,52 @@
+//! The command line of Sortie with zenoh linked in, for lines between hosts.
+//!
+//! Other verbs are as in `sortie`, which goes on as this program where an address begins with `zenoh`.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+
+use sortie_cli::failure::{Exit, Failure};
+use sortie_cli::line::{Zenoh, ZenohEnd};
+use sortie_cli::{Program, run_program};
+use sortie_line::Carrier;
+use sortie_zenoh::{End, ZenohCarrier, ZenohError, ZenohSettings};
+
+fn main() -> ExitCode {
+    // Where RUST_LOG asks for it zenoh tells what it does.
+    zenoh::try_init_log_from_env();
+    run_program(&Program {
+        version: sortie_version::SHORT,
+        built: sortie_version::LONG,
+        tools: None,
+        zenoh: Some(&Linked),
+    })
+}
+
+/// What this program has and `sortie` has not.
+struct Linked;
+
+impl Zenoh for Linked {
+    fn open(&self, end: &ZenohEnd<'_>) -> Result<Arc<dyn Carrier>, Failure> {
+        let mut agents = end.agents.to_vec();
+        agents.sort_unstable();
+        let agents = agents.iter().map(u16::to_string).collect::<Vec<_>>().join(",");
+        let settings = ZenohSettings {
+            end: if end.is_home { End::Home } else { End::Away },
+            locator: end.locator,
+            configuration: end.configuration,
+            line: &format!("{}/{agents}", end.domain),
+        };
+        let carrier = ZenohCarrier::open(&settings).map_err(failure)?;
+        Ok(Arc::new(carrier))
+    }
+}
+
+fn failure(error: ZenohError) -> Failure {
+    let exit = match &error {
+        ZenohError::Configuration { file, .. } if !file.exists() => Exit::Missing,
+        ZenohError::Configuration { .. } => Exit::BadData,
+        ZenohError::Setting { .. } => Exit::Usage,
+        ZenohError::Session { .. } => Exit::InputOutput,
+    };
+    Failure::new(exit, error.to_string().replace('\n', " "))
+}
