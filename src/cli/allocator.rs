@@ -14,7 +14,7 @@ use sortie_stage::{Search, SearchSizes, TeamValuePlan};
 
 use crate::ahead::LookingAhead;
 use crate::allocation::AllocatorChoice;
-use crate::environment::entry_of;
+use crate::environment::{check_relations, entry_of};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::policy::Backend;
 use crate::tools::{compiler, engines, plans};
@@ -119,6 +119,7 @@ impl LearnedAllocator {
     ) -> Result<Self, Failure> {
         let name = bundle.folder().display();
         let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name.to_string()))?;
+        check_relations(bundle)?;
         let network = network(onnx).map_err(|error| Failure::from(error).within(&name))?;
         let limits = bundle.manifest().limits;
         let sizes = SearchSizes {

@@ -8,6 +8,7 @@ use sortie_envs::{Choice, ENVIRONMENTS, Entry, Environment, EnvironmentError, Sh
 use sortie_learn::subtasks::{AllocatedTeam, NoSubtasks, ScriptedAgents};
 
 use crate::failure::{Exit, Failure, Outcome};
+use crate::output::plural;
 
 /// An environment and one of its sets of starts, written `ENV/SET`.
 #[derive(Clone, Debug)]
@@ -135,6 +136,28 @@ pub fn check_fits(bundle: &Bundle, name: &ScenarioSetName) -> Outcome {
     check_spec(bundle, environment.spec(), &name.set)
 }
 
+/// Refuses an allocator that was taught by other relations of entities to subtasks than this version tells.
+pub(crate) fn check_relations(bundle: &Bundle) -> Outcome {
+    let known = bundle.golden().allocations.first().map(|case| case.relations);
+    let checked = known.map(|known| entry_of(bundle).and_then(|entry| tells(entry, known)));
+    checked.unwrap_or(Ok(())).map_err(|failure| failure.within(bundle.folder().display()))
+}
+
+/// Whether rows of an environment tell so many numbers of how an entity stands to a subtask.
+fn tells(entry: &Entry, known: usize) -> Outcome {
+    let told = entry.reader.map_or(0, |reader| reader().relations());
+    if known == told {
+        return Ok(());
+    }
+    let message = format!(
+        "the allocator knows {} of how an entity of `{}` stands to a subtask, this version tells {told}: learn it anew, or choose \
+         a rule with --allocation",
+        plural(known, "number"),
+        entry.name
+    );
+    Err(Failure::new(Exit::Mismatch, message))
+}
+
 /// As [`check_fits`], for a set that need not be known.
 pub fn check_spec(bundle: &Bundle, spec: &Spec, set: &str) -> Outcome {
     let mismatch = |reason: String| {
@@ -174,4 +197,20 @@ pub(crate) fn scripted(
     }
     let agents = Box::new(ScriptedAgents::new(seed));
     Ok(AllocatedTeam::new(agents, Box::new(NoSubtasks), u32::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Before armies' strength was told an allocator of a base knew nothing beside rows.
+    #[test]
+    fn an_allocator_of_other_relations_is_refused_by_their_number() {
+        let skirmish = entry("skirmish").expect("an environment");
+        let refusal = tells(skirmish, 0).expect_err("five are told");
+        assert_eq!(refusal.exit, Exit::Mismatch);
+        assert!(refusal.message.contains("knows 0 numbers") && refusal.message.contains("tells 5"));
+        assert!(tells(skirmish, 5).is_ok());
+        assert!(tells(entry("routing").expect("an environment"), 0).is_ok());
+    }
 }

@@ -13,7 +13,7 @@ use sortie_stage::{
 
 use super::Wanted;
 use super::probes::attention_of;
-use crate::environment::{ScenarioSetName, check_fits};
+use crate::environment::{ScenarioSetName, check_fits, check_relations};
 use crate::failure::{Exit, Failure};
 use crate::tools::plans;
 
@@ -125,6 +125,7 @@ pub fn cast(bundle: &Bundle, set: &ScenarioSetName) -> Result<Cast, Failure> {
 
 /// What allocates, if it has learned to value teams or to point at subtasks.
 fn allocator(bundle: &Bundle) -> Result<Option<AllocatorCast>, Failure> {
+    check_relations(bundle)?;
     let limits = bundle.manifest().limits;
     let pointing = plans().pointing(bundle)?.map(|memory| AllocatorCast::Pointing {
         plans: memory.plans().each_ref().map(|plan| plan.as_slice().to_vec()),
