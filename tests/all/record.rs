@@ -73,10 +73,11 @@ fn a_team_at_work_is_recorded_and_others_read_it() {
     // All of it is decided again, by the record alone.
     let remade = json(&["remake", name, "--json"]);
     assert_eq!(remade["different"], 0, "{remade}");
-    // The allocation that was in force when the record began comes with its sender's next heartbeat, some ticks later.
+    // The allocation that was in force when the record began comes with its sender's next heartbeat, some ticks later: of
+    // all that is recorded that is the lesser part, however many want the cores.
     let [actions, before] =
         ["actions", "before_record"].map(|key| remade[key].as_u64().expect(key));
-    assert!(actions + before >= of_ticks as u64 && actions > 9 * before, "{remade}");
+    assert!(actions + before >= of_ticks as u64 && actions > before, "{remade}");
     assert!(remade["allocations"].as_u64() > Some(20), "{remade}");
     let allocated = ticks.iter().filter(|tick| tick["allocation"][0].is_u64()).count();
     assert!(allocated > 250 && counts["/allocation"] > 20, "{counts:?}");
