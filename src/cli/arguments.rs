@@ -15,7 +15,7 @@ use crate::output::say;
 use crate::terminal::Color;
 use crate::tools::{self, prefer_tools};
 use crate::{
-    Program, compare, control, doctor, eval, export, inspect, join, record, remake, replay,
+    Program, bridge, compare, control, doctor, eval, export, inspect, join, record, remake, replay,
     reproduce, run, serve, sign, top, train, view,
 };
 
@@ -110,6 +110,7 @@ pub(crate) enum Verb {
     Doctor(doctor::DoctorArguments),
     Top(top::TopArguments),
     Record(record::RecordArguments),
+    Bridge(bridge::BridgeArguments),
     Remake(remake::RemakeArguments),
     Why(remake::why::WhyArguments),
     Sign(sign::SignArguments),
@@ -145,6 +146,7 @@ pub(crate) fn dispatch(program: &Program, asked: Asked) -> Outcome {
         Verb::Doctor(arguments) => doctor::run(&arguments),
         Verb::Top(arguments) => top::run(&arguments),
         Verb::Record(arguments) => record::run(&arguments),
+        Verb::Bridge(arguments) => bridge::run(&arguments),
         Verb::Remake(arguments) => remake::run(&arguments),
         Verb::Why(arguments) => remake::why::run(&arguments),
         Verb::Sign(arguments) => sign::run(&arguments),

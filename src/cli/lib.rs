@@ -1,7 +1,8 @@
 //! The command line of Sortie: teams of learned agents, from training to deployment.
 //!
 //! All programs are this library: `sortie` as it is, `sortie-tools` with engines for ONNX graphs and the verbs that need or
-//! measure them, `sortie-zenoh` with zenoh for lines between hosts. What is public here is what those verbs share with the others, and no interface for anybody else.
+//! measure them, `sortie-zenoh` with zenoh for lines between hosts and for ROS 2. What is public here is what those verbs share with
+//! the others, and no interface for anybody else.
 #![expect(
     missing_docs,
     reason = "public for the program beside, where names say it; no interface for anybody else"
@@ -11,6 +12,7 @@ mod ahead;
 pub mod allocation;
 pub mod allocator;
 mod arguments;
+mod bridge;
 mod compare;
 mod control;
 pub mod deployment;
@@ -51,14 +53,15 @@ pub mod trust;
 mod view;
 mod views;
 pub mod worlds;
+pub mod zenoh;
 
 pub use views::cast;
 
 use std::process::ExitCode;
 
 use crate::failure::Outcome;
-use crate::line::Zenoh;
 use crate::tools::Tools;
+use crate::zenoh::Zenoh;
 
 /// What differs between the programs.
 pub struct Program {

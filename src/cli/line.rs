@@ -1,49 +1,21 @@
-//! The line between two hosts: what both ends are told of it, and which program carries it.
-//!
-//! `sortie` carries it over UDP. Through zenoh the program `sortie-zenoh` does, which lies beside it and takes the same words:
-//! what zenoh brings takes longer to compile than all of `sortie`.
+//! The line between two hosts: what both ends are told of it. It goes over UDP, or through zenoh.
 
-use std::env;
 use std::fmt;
-use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
-use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::path::PathBuf;
+use std::process::Command;
 use std::str::FromStr;
 use std::sync::Arc;
 
 use clap::Args;
-use sortie_line::{Carrier, Key, KeyError, LineSettings, Udp};
+use sortie_line::{Key, KeyError, LineSettings, Udp};
 
 use crate::failure::{Exit, Failure, Outcome};
 use crate::output::tell;
-use crate::tools::running;
+use crate::zenoh::{self, LineThrough};
 
-/// The file that the program with zenoh is.
-const FILE: &str = "sortie-zenoh";
 /// What an address through zenoh begins with.
 const ZENOH: &str = "zenoh";
-
-/// What a program has that is `sortie-zenoh`.
-pub trait Zenoh: Sync {
-    /// Opens one end of a line.
-    fn open(&self, end: &ZenohEnd<'_>) -> Result<Arc<dyn Carrier>, Failure>;
-}
-
-/// One end of a line through zenoh.
-#[derive(Clone, Copy, Debug)]
-pub struct ZenohEnd<'a> {
-    /// Whether it is the team's.
-    pub is_home: bool,
-    /// Where it listens, or goes to, as zenoh writes it: `tcp/192.168.1.5:7447`. None: its configuration says.
-    pub locator: Option<&'a str>,
-    /// A file of zenoh's own.
-    pub configuration: Option<&'a Path>,
-    /// The team's domain and the agents that are away, by which lines through one router are told apart.
-    pub domain: &'a str,
-    pub agents: &'a [u16],
-}
 
 /// Where a line goes, or where a team listens.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -152,7 +124,13 @@ impl LineArguments {
             }
             Place::Zenoh(locator) => {
                 let (locator, configuration) = (locator.as_deref(), self.config.as_deref());
-                zenoh()?.open(&ZenohEnd { is_home, locator, configuration, domain, agents })?
+                zenoh::linked()?.line(&LineThrough {
+                    is_home,
+                    locator,
+                    configuration,
+                    domain,
+                    agents,
+                })?
             }
         };
         Ok(LineSettings { carrier, key, copies: if self.twice { 2 } else { 1 } })
@@ -170,7 +148,7 @@ impl LineArguments {
                 "where does zenoh listen or go to? Name it, `zenoh/tcp/192.168.1.5:7447`, or a file that says so by --config",
             )),
             (Place::Udp(address), None) => resolve(address).map(drop),
-            (Place::Zenoh(_), _) => linked().map_or_else(check_program, |_| Ok(())),
+            (Place::Zenoh(_), _) => zenoh::check(),
         }
     }
 
@@ -205,55 +183,6 @@ fn resolve(address: &str) -> Result<SocketAddr, Failure> {
     };
     let mut found = address.to_socket_addrs().map_err(|error| unknown(error.to_string()))?;
     found.next().ok_or_else(|| unknown("nobody has it".to_owned()))
-}
-
-fn linked() -> Option<&'static dyn Zenoh> {
-    running().and_then(|program| program.zenoh)
-}
-
-/// Zenoh, as far as this program has it; where it has not, the one that has goes on in its place.
-fn zenoh() -> Result<&'static dyn Zenoh, Failure> {
-    linked().ok_or_else(become_zenoh)
-}
-
-fn program() -> PathBuf {
-    env::current_exe().unwrap_or_default().with_file_name(FILE)
-}
-
-/// Goes on as the program with zenoh; returns only where that cannot be started.
-fn become_zenoh() -> Failure {
-    if let Err(failure) = check_program() {
-        return failure;
-    }
-    not_started(&Command::new(program()).args(env::args_os().skip(1)).exec())
-}
-
-/// Whether that program is there, and of this version: both speak to the same team.
-fn check_program() -> Outcome {
-    let said = Command::new(program()).arg("--version").stdin(Stdio::null()).output();
-    let said = said.map_err(|error| not_started(&error))?;
-    let said = String::from_utf8_lossy(&said.stdout);
-    let got = said.lines().next().unwrap_or_default().trim_start_matches("sortie ").trim();
-    let want = running().map_or("", |program| program.version);
-    if got == want {
-        return Ok(());
-    }
-    let message = format!("`{}` is version {got}, this is {want}: {BUILD}", program().display());
-    Err(Failure::new(Exit::Mismatch, message))
-}
-
-const BUILD: &str = "build it with `cargo build --release --manifest-path runtime/zenoh/Cargo.toml --target-dir target`";
-
-fn not_started(error: &io::Error) -> Failure {
-    let program = program();
-    let message = match error.kind() {
-        io::ErrorKind::NotFound => format!(
-            "a line through zenoh needs `{FILE}`, which is not at `{}`: {BUILD}",
-            program.display()
-        ),
-        _ => format!("`{}`: {error}", program.display()),
-    };
-    Failure::new(Exit::NotRunning, message)
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Who listens to a running team: all that is said in a domain, and how much of it was missed.
 
 use std::collections::HashMap;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use sortie_core::link::Clock;
 use sortie_ipc::{
@@ -99,6 +99,12 @@ fn open_link(
     let _starting = membership.lock_start()?;
     let setup = LinkSetup { domain, format, name: &name, bell, linger: Duration::ZERO };
     Ok(IoxRecorder::open(&setup)?)
+}
+
+/// How much more the time since 1970 is than that of the domain's clock.
+pub(crate) fn wall_clock_ahead_ns() -> u64 {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    (since_1970.as_nanos() as u64).saturating_sub(MonotonicClock.now_ns())
 }
 
 /// Messages that came and went before they were read, as far as later ones of their senders show.

@@ -1,6 +1,8 @@
 //! `sortie serve`: a policy decides for a robot's program, over shared memory.
 
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
+use std::thread;
 use std::time::Duration;
 
 use clap::Args;
@@ -17,6 +19,7 @@ use sortie_plans::{
     read_plan_or_onnx,
 };
 
+use crate::bridge::{Relayed, Robot, RosArguments};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::foreign::{ENGINE, PolicyArguments};
 use crate::guards::{self, Tripped, Trips};
@@ -26,6 +29,7 @@ use crate::policy::Backend;
 use crate::terminal::stop_on_signals;
 use crate::tools::{check_program, compiler, engines};
 use crate::trust::TrustArguments;
+use crate::zenoh;
 
 /// Serve a policy in shared memory: a robot's program sends observations and gets actions
 ///
@@ -37,6 +41,7 @@ use crate::trust::TrustArguments;
   sortie serve walking.plan --domain legs --deadline-ms 2 --fallback zero
   sortie serve walking.onnx --rt 50 --core 1 --json
   sortie serve hunting.onnx --draw --seed 7
+  sortie serve walking.plan --ros2 --namespace /legs     # /legs/observation is answered on /legs/action
   sortie serve scatters.onnx --backend tract")]
 pub(crate) struct ServeArguments {
     /// A policy's plan, or its ONNX file, which is compiled first
@@ -67,6 +72,11 @@ pub(crate) struct ServeArguments {
     /// Microseconds that it looks for an observation before it sleeps
     #[arg(long, default_value_t = 100, value_name = "US", value_parser = clap::value_parser!(u64).range(..=1_000_000))]
     linger_us: u64,
+    /// As a node of ROS 2 besides: it subscribes to observations and publishes actions; docs/guide/ros2.md says which
+    #[arg(long)]
+    ros2: bool,
+    #[command(flatten)]
+    ros: RosArguments,
     #[command(flatten)]
     trust: TrustArguments,
     #[command(flatten)]
@@ -92,6 +102,9 @@ struct Summary<'a> {
     counters: &'a ServeCounters,
     /// Which guards tripped, how often.
     trips: Vec<Tripped>,
+    /// What came over ROS, where it served a node.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ros2: Option<Relayed>,
     /// From the sending of an observation to the server running, in microseconds.
     wake_us: Option<Percentiles>,
     /// The decision alone.
@@ -100,6 +113,9 @@ struct Summary<'a> {
 
 pub(crate) fn run(arguments: &ServeArguments) -> Outcome {
     arguments.backend.prepare()?;
+    if arguments.ros2 {
+        zenoh::linked()?;
+    }
     let failed = |error| Failure::file(&arguments.policy, &error);
     let bytes = read_plan_or_onnx(&arguments.policy).map_err(failed)?;
     arguments.trust.check_plan(&arguments.policy, &bytes)?;
@@ -171,6 +187,8 @@ fn serve(
         real_time: RealTime { priority: arguments.rt, core: arguments.core },
     };
     let taken = describe(&schema);
+    let robot =
+        arguments.ros2.then(|| Robot::open(&arguments.ros, &schema, *common)).transpose()?;
     let mut server = PolicyServer::open(&domain, schema, &settings)?;
     if !common.json && !common.quiet {
         say!("{}: {taken}", policy.display());
@@ -194,10 +212,18 @@ fn serve(
             trips.count(served.seq, trip, !common.quiet);
         }
     };
-    let counters = decide(&mut server, &mut observe, &stop)?;
+    let (counters, relayed) = thread::scope(|scope| {
+        let relaying = robot.map(|robot| scope.spawn(|| robot.relay(&domain, &stop)));
+        let counters = decide(&mut server, &mut observe, &stop);
+        stop.stop();
+        let relayed =
+            relaying.map(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)));
+        (counters, relayed)
+    });
+    let (counters, relayed) = (counters?, relayed.transpose()?);
     drop(server);
     let shown = |latency: &Latency| (latency.samples() > 0).then(|| latency.percentiles());
-    report(arguments, &counters, &trips, [shown(&wake), shown(&decision)]);
+    report(arguments, &counters, (&trips, relayed), [shown(&wake), shown(&decision)]);
     Ok(())
 }
 
@@ -244,7 +270,7 @@ fn describe(schema: &PolicySchema) -> String {
 fn report(
     arguments: &ServeArguments,
     counters: &ServeCounters,
-    trips: &Trips,
+    (trips, relayed): (&Trips, Option<Relayed>),
     [wake_us, decide_us]: [Option<Percentiles>; 2],
 ) {
     let ServeArguments { policy, domain, common, .. } = arguments;
@@ -258,6 +284,7 @@ fn report(
             },
             counters,
             trips: trips.tripped(),
+            ros2: relayed,
             wake_us,
             decide_us,
         });
@@ -273,6 +300,9 @@ fn report(
         "{answered} answered{by}, {late} of them late, {fallbacks} fallbacks, {missed} missed, {refused} refused; \
          {sessions} robots, {resets} episodes"
     );
+    if let Some(relayed) = relayed {
+        say!("{relayed}");
+    }
     trips.print();
     let mut table = Table::new(&["microseconds", "p50", "p99", "max"]);
     for (name, of) in [("until it runs", wake_us), ("decision", decide_us)] {

@@ -17,11 +17,13 @@ pub fn definition(name: &str) -> Option<&'static str> {
 }
 
 /// All of them. Those of ROS itself without their comments, which do not count.
-pub const DEFINITIONS: [(&str, &str); 11] = [
+pub const DEFINITIONS: [(&str, &str); 12] = [
     ("builtin_interfaces/msg/Time", "int32 sec\nuint32 nanosec\n"),
     ("std_msgs/msg/Header", "builtin_interfaces/Time stamp\nstring frame_id\n"),
     ("std_msgs/msg/String", "string data\n"),
     ("std_msgs/msg/Int32", "int32 data\n"),
+    // What its generators put into types without a field.
+    ("std_msgs/msg/Empty", "uint8 structure_needs_at_least_one_member\n"),
     ("std_msgs/msg/MultiArrayDimension", "string label\nuint32 size\nuint32 stride\n"),
     ("std_msgs/msg/MultiArrayLayout", "MultiArrayDimension[] dim\nuint32 data_offset\n"),
     ("std_msgs/msg/Float32MultiArray", "MultiArrayLayout layout\nfloat32[] data\n"),
@@ -80,6 +82,17 @@ pub struct Int32 {
 
 impl Message for Int32 {
     const NAME: &'static str = "std_msgs/msg/Int32";
+}
+
+/// `std_msgs/msg/Empty`: that something is to be done now.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Empty {
+    /// Always 0.
+    pub structure_needs_at_least_one_member: u8,
+}
+
+impl Message for Empty {
+    const NAME: &'static str = "std_msgs/msg/Empty";
 }
 
 /// A dimension of an array.

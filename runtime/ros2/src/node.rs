@@ -15,7 +15,7 @@ pub trait Carrier {
     /// What fails.
     type Error: std::error::Error + Send + Sync + 'static;
 
-    /// Says that whoever has this token is there, until the carrier ends.
+    /// Says that whoever has this token is there, until the carrier ends; of a subscription, once it hears.
     ///
     /// # Errors
     /// The session is closed, or takes no such key.

@@ -3,6 +3,7 @@
 //! | topic | messages | |
 //! | --- | --- | --- |
 //! | `observation` | [`Float32MultiArray`] | read: the numbers of all inputs, one behind the other |
+//! | `reset` | [`Empty`] | read: the next observation begins an episode |
 //! | `action` | [`Float32MultiArray`] | the numbers of all outputs, one behind the other |
 //! | `action` | [`Int32`] | instead, where the policy chooses among actions |
 //! | `joint_command` | [`JointState`] | besides, where the policy names the joints of its outputs |
@@ -10,7 +11,8 @@
 use crate::attachment::{Attachment, AttachmentError};
 use crate::cdr::{CdrError, decode};
 use crate::messages::{
-    Float32MultiArray, Header, Int32, JointState, MultiArrayDimension, MultiArrayLayout, Time,
+    Empty, Float32MultiArray, Header, Int32, JointState, MultiArrayDimension, MultiArrayLayout,
+    Time,
 };
 use crate::node::{BridgeError, Carrier, Node, Publisher};
 use crate::qos::Qos;
@@ -98,13 +100,14 @@ pub struct PolicyNode<C: Carrier> {
     carrier: C,
     facts: PolicyFacts,
     observation_key: String,
+    reset_key: String,
     action: Publisher,
     joint_command: Option<Publisher>,
 }
 
 impl<C: Carrier> PolicyNode<C> {
-    /// Says that the node is there, reads observations and publishes actions. Whoever opens it subscribes to
-    /// [`Self::observation_key`].
+    /// Says that the node is there, reads observations and publishes actions. What comes to [`Self::observation_key`] and
+    /// [`Self::reset_key`] its carrier hears, or whoever opens it.
     ///
     /// # Errors
     /// [`BridgeError::Carrier`]; [`BridgeError::Definition`]: with the node's namespace a topic has more than 255 letters.
@@ -123,11 +126,12 @@ impl<C: Carrier> PolicyNode<C> {
             [] => None,
             _ => Some(node.publisher::<JointState>(3, "joint_command", Qos::TOPIC)?),
         };
+        let (reset, reset_key) = node.subscription::<Empty>(4, "reset", Qos::TOPIC)?;
         let publishers = std::iter::once(&action).chain(&joint_command).map(Publisher::token);
-        for token in [node.token(), &observation].into_iter().chain(publishers) {
+        for token in [node.token(), &observation, &reset].into_iter().chain(publishers) {
             carrier.declare(&token.to_string()).map_err(BridgeError::Carrier)?;
         }
-        Ok(Self { carrier, facts, observation_key, action, joint_command })
+        Ok(Self { carrier, facts, observation_key, reset_key, action, joint_command })
     }
 
     /// The key of observations.
@@ -135,7 +139,12 @@ impl<C: Carrier> PolicyNode<C> {
         &self.observation_key
     }
 
-    /// Reads what came to that key. Whether the numbers are finite is for the policy to say.
+    /// The key of resets: whatever comes there begins an episode.
+    pub fn reset_key(&self) -> &str {
+        &self.reset_key
+    }
+
+    /// Reads what came to the key of observations. Whether the numbers are finite is for the policy to say.
     ///
     /// # Errors
     /// See [`ObservationError`]; such an observation is dropped and told of.
@@ -145,9 +154,10 @@ impl<C: Carrier> PolicyNode<C> {
         check_layout(&layout, data.len())?;
         let (want, got) = (self.facts.numbers(), data.len());
         if want != got {
-            let inputs = self.facts.inputs.iter();
-            let inputs: Vec<_> =
-                inputs.map(|(name, length)| format!("{name} [{length}]")).collect();
+            // Plans may leave their inputs without names.
+            let one = |(name, length): &(String, usize)| format!("{name} [{length}]");
+            let inputs = self.facts.inputs.iter().map(one);
+            let inputs: Vec<_> = inputs.map(|input| input.trim_start().to_owned()).collect();
             return Err(ObservationError::Length { want, got, inputs: inputs.join(", ") });
         }
         Ok(Observed { numbers: data, attachment })

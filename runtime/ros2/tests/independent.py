@@ -195,7 +195,8 @@ def hashed(kind):
 def lines():
     for name in MESSAGES:
         yield f"message {name} {encoded(name)}"
-    kinds = sorted({kind for kind, _ in MESSAGES.values()} | {"builtin_interfaces/msg/Time", "std_msgs/msg/Header"})
+    parts = {"builtin_interfaces/msg/Time", "std_msgs/msg/Empty", "std_msgs/msg/Header"}
+    kinds = sorted({kind for kind, _ in MESSAGES.values()} | parts)
     hashes = {kind: hashed(kind) for kind in kinds}
     yield from (f"hash {kind} {hashes[kind]}" for kind in kinds)
 

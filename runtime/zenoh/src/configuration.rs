@@ -100,13 +100,7 @@ impl ZenohSettings<'_> {
 
     /// The file's configuration with what this end needs. Where a locator is named it is the only one, and nobody is looked for.
     pub(crate) fn configuration(&self) -> Result<Config, ZenohError> {
-        let mut configuration = match self.configuration {
-            None => Config::default(),
-            Some(file) => Config::from_file(file).map_err(|error| {
-                let reason = error.to_string();
-                ZenohError::Configuration { file: file.to_owned(), reason }
-            })?,
-        };
+        let mut configuration = read_configuration(self.configuration)?;
         let mut set = |key: &str, value: &str| {
             configuration.insert_json5(key, value).map_err(|error| ZenohError::Setting {
                 value: value.to_owned(),
@@ -126,4 +120,16 @@ impl ZenohSettings<'_> {
         }
         Ok(configuration)
     }
+}
+
+/// A file of zenoh's own, JSON5 or YAML; without one zenoh's defaults.
+///
+/// # Errors
+/// [`ZenohError::Configuration`].
+pub fn read_configuration(file: Option<&Path>) -> Result<Config, ZenohError> {
+    let Some(file) = file else { return Ok(Config::default()) };
+    Config::from_file(file).map_err(|error| ZenohError::Configuration {
+        file: file.to_owned(),
+        reason: error.to_string(),
+    })
 }

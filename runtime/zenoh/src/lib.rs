@@ -35,4 +35,4 @@ mod carrier;
 mod configuration;
 
 pub use carrier::ZenohCarrier;
-pub use configuration::{End, ZenohError, ZenohSettings};
+pub use configuration::{End, ZenohError, ZenohSettings, read_configuration};

@@ -1,13 +1,16 @@
-//! The command line of Sortie with zenoh linked in, for lines between hosts.
+//! The command line of Sortie with zenoh linked in, for lines between hosts and for ROS 2.
 //!
-//! Other verbs are as in `sortie`, which goes on as this program where an address begins with `zenoh`.
+//! Other verbs are as in `sortie`, which goes on as this program where an address begins with `zenoh`, or a node of ROS 2 is wanted.
+
+mod ros2;
 
 use std::process::ExitCode;
 use std::sync::Arc;
 
 use sortie_cli::failure::{Exit, Failure};
-use sortie_cli::line::{Zenoh, ZenohEnd};
+use sortie_cli::zenoh::{LineThrough, PolicyNode, RosNode, RosTeam, TeamNode, Zenoh};
 use sortie_cli::{Program, run_program};
+use sortie_ipc::PolicySchema;
 use sortie_line::Carrier;
 use sortie_zenoh::{End, ZenohCarrier, ZenohError, ZenohSettings};
 
@@ -26,7 +29,7 @@ fn main() -> ExitCode {
 struct Linked;
 
 impl Zenoh for Linked {
-    fn open(&self, end: &ZenohEnd<'_>) -> Result<Arc<dyn Carrier>, Failure> {
+    fn line(&self, end: &LineThrough<'_>) -> Result<Arc<dyn Carrier>, Failure> {
         let mut agents = end.agents.to_vec();
         agents.sort_unstable();
         let agents = agents.iter().map(u16::to_string).collect::<Vec<_>>().join(",");
@@ -38,6 +41,18 @@ impl Zenoh for Linked {
         };
         let carrier = ZenohCarrier::open(&settings).map_err(failure)?;
         Ok(Arc::new(carrier))
+    }
+
+    fn team(&self, node: &RosNode<'_>, team: RosTeam) -> Result<Box<dyn TeamNode>, Failure> {
+        ros2::team_node(node, team)
+    }
+
+    fn policy(
+        &self,
+        node: &RosNode<'_>,
+        policy: &PolicySchema,
+    ) -> Result<Box<dyn PolicyNode>, Failure> {
+        ros2::policy_node(node, policy)
     }
 }
 

@@ -7,14 +7,13 @@ mod log;
 mod ticks;
 
 use std::path::PathBuf;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use clap::Args;
-use sortie_core::link::Clock;
-use sortie_ipc::{Domain, Heard, MonotonicClock, Stop};
+use sortie_ipc::{Domain, Heard, Stop};
 
 use crate::failure::{Failure, Outcome};
-use crate::listener::Listener;
+use crate::listener::{Listener, wall_clock_ahead_ns};
 use crate::output::{Common, plural};
 use crate::quantities::{size, time};
 use crate::terminal::{spinner, stop_on_signals};
@@ -174,10 +173,4 @@ fn record(
     spinner.finish_and_clear();
     bundles.into_iter().for_each(|mut bundles| bundles.end(log));
     Ok(())
-}
-
-/// How much more the time since 1970 is than that of the domain's clock.
-fn wall_clock_ahead_ns() -> u64 {
-    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    (since_1970.as_nanos() as u64).saturating_sub(MonotonicClock.now_ns())
 }

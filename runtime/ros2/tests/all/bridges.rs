@@ -338,10 +338,13 @@ fn a_policy_reads_observations_and_commands_joints() {
     let wanted = [
         (Kind::Node, ""),
         (Kind::Subscription, "/team/observation"),
+        (Kind::Subscription, "/team/reset"),
         (Kind::Publisher, "/team/action"),
         (Kind::Publisher, "/team/joint_command"),
     ];
     assert_eq!(kinds, wanted.map(|(kind, topic)| (kind, topic.to_owned())));
+    let reset = "0/team/reset/std_msgs::msg::dds_::Empty_/RIHS01_20b62525";
+    assert!(policy.reset_key().starts_with(reset));
     let key = policy.observation_key();
     assert!(key.starts_with("0/team/observation/std_msgs::msg::dds_::Float32MultiArray_/RIHS01_"));
 
@@ -387,7 +390,7 @@ fn a_policy_that_chooses_publishes_its_choice() {
     let facts = PolicyFacts { actions: 2, ..walking() };
     let mut policy = PolicyNode::open(Kept::default(), &node(), facts).unwrap();
     // Scores of actions are no joints.
-    assert_eq!(policy.carrier().tokens.len(), 3);
+    assert_eq!(policy.carrier().tokens.len(), 4);
     policy.answer(Answer::Choice(1), samples::SOURCE_NS).unwrap();
     let choice = policy.carrier().take::<Int32>("action");
     assert_eq!(choice[0].1, Int32 { data: 1 });

@@ -5,8 +5,8 @@ use std::fmt::Debug;
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader};
 use sortie_core::{NO_ACTION, UNASSIGNED};
 use sortie_ros2::messages::{
-    Action, Allocation, DEFINITIONS, Float32MultiArray, Int32, JointState, Message, Observation,
-    Text,
+    Action, Allocation, DEFINITIONS, Empty, Float32MultiArray, Int32, JointState, Message,
+    Observation, Text,
 };
 use sortie_ros2::{
     Attachment, Definition, Durability, Kind, Node, Qos, Release, Token, TypeHash, TypeName,
@@ -106,6 +106,7 @@ fn hashes_are_those_that_other_programs_compute() {
     let all = [
         hash_of::<Text>(),
         hash_of::<Int32>(),
+        hash_of::<Empty>(),
         hash_of::<Float32MultiArray>(),
         hash_of::<JointState>(),
         hash_of::<Observation>(),
