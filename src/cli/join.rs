@@ -6,11 +6,11 @@ use std::time::Duration;
 use clap::Args;
 use sortie_bundle::{Bundle, SubtaskConditioning};
 use sortie_core::Policy;
-use sortie_core::link::{Bell, Clock, FrameBlock, LinkError, Serial, packet_bytes};
-use sortie_core::roles::{Identity, Poll, RunnerOptions, RunnerRole};
+use sortie_core::link::{FrameBlock, LinkError, Serial, packet_bytes};
+use sortie_core::roles::{Identity, RunnerOptions, RunnerRole};
 use sortie_core::wire::{ABI, FrameFormat};
 use sortie_ipc::{BUILD, DomainFacts, Error, HostProcess, Stop};
-use sortie_line::{Away, LineSettings, Offer, Rest, Taken};
+use sortie_line::{Away, FarPoll, FarRunner, LineSettings, Offer, Taken};
 
 use crate::deployment::{domain_contract, model_id};
 use crate::failure::{Exit, Failure, Outcome};
@@ -22,10 +22,6 @@ use crate::trust::TrustArguments;
 
 /// How long a team is looked for at first.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// After so long without a frame the line is taken for cut: three ticks, and at least this.
-const LEAST_SILENCE: Duration = Duration::from_millis(300);
-/// Longest wait for a packet, so that signals are noticed and the team hears of the runner.
-const HEARTBEAT_NS: u64 = 100_000_000;
 /// The share of a period that a round trip may take: the rest is for deciding.
 const SHARE_OF_PERIOD: f64 = 0.8;
 
@@ -136,13 +132,16 @@ fn act(
     let rest = line.rest();
     let mut memory = vec![FrameBlock::zeroed(); FrameBlock::for_serial(team.shape())];
     let mut packet = vec![0; packet_bytes(team.shape())];
-    let mut link = Serial::new(line.clone(), &rest, format, &mut memory, &mut packet)
-        .map_err(|error| Failure::from(Error::from(error)))?;
     let pid = HostProcess { host: team.host, pid: std::process::id() }.id();
-    let mut role = RunnerRole::new(options(bundle, format, team.period_ns, (pid, offer)));
-    let ended = play(&mut role, &mut link, policy, (line, &rest, team.period_ns), stop);
-    tell!("{} decided", plural(role.counters().ticks as usize, "tick"));
-    ended.map_err(|error| Failure::from(Error::from(error)))
+    let role = RunnerRole::new(options(bundle, format, team.period_ns, (pid, offer)));
+    let failed = |error| Failure::from(Error::from(error));
+    let link =
+        Serial::new(line.clone(), &rest, format, &mut memory, &mut packet).map_err(failed)?;
+    let runner = FarRunner::join(role, link, (line.clone(), &rest), team.period_ns);
+    let mut runner = runner.map_err(failed)?;
+    let ended = play(&mut runner, policy, stop);
+    tell!("{} decided", plural(runner.role().counters().ticks as usize, "tick"));
+    ended.map_err(failed)
 }
 
 fn options(
@@ -164,47 +163,24 @@ fn options(
 }
 
 fn play(
-    role: &mut RunnerRole,
-    link: &mut Serial<'_, Away>,
+    runner: &mut FarRunner<'_, Serial<'_, Away>>,
     policy: &mut dyn Policy,
-    (line, rest, period_ns): (&Away, &Rest, u64),
     stop: &Stop,
 ) -> Result<End, LinkError> {
-    let silence = Duration::from_nanos(period_ns.saturating_mul(3)).max(LEAST_SILENCE);
-    let mut is_cut = false;
-    role.join(link)?;
-    loop {
-        line.send();
-        if stop.is_set() {
-            role.leave(link)?;
-            line.send();
-            return Ok(End::Interrupted);
-        }
-        if line.is_replaced() {
-            return Ok(End::Replaced);
-        }
-        // Who is cut off acts no more: there is nothing to answer.
-        let is_silent = line.silence() > silence;
-        if is_silent != std::mem::replace(&mut is_cut, is_silent) {
-            match is_silent {
-                true => {
-                    tell!("warning: cut off: nothing is heard of the team, and nothing is done")
-                }
-                false => tell!("the team is heard again"),
+    while !stop.is_set() {
+        match runner.poll(policy)? {
+            FarPoll::Again => {}
+            FarPoll::Wait { until_ns } => runner.wait(until_ns),
+            FarPoll::CutOff => {
+                tell!("warning: cut off: nothing is heard of the team, and nothing is done");
             }
-        }
-        let token = link.token();
-        match role.poll(link, policy)? {
-            Poll::Ended => return Ok(End::Over),
-            Poll::Again | Poll::Answered => {}
-            Poll::Wait { until_ns } => {
-                line.send();
-                let until_ns = until_ns.min(rest.now_ns().saturating_add(HEARTBEAT_NS));
-                rest.until(until_ns);
-                link.wait_until(token, until_ns);
-            }
+            FarPoll::Heard => tell!("the team is heard again"),
+            FarPoll::Replaced => return Ok(End::Replaced),
+            FarPoll::Ended => return Ok(End::Over),
         }
     }
+    runner.leave()?;
+    Ok(End::Interrupted)
 }
 
 fn seats(agents: &[u16]) -> Result<u64, Failure> {

@@ -13,29 +13,27 @@ use sortie_core::link::{Clock, Processor};
 
 use crate::carrier::Carrier;
 use crate::datagram::{
-    Head, Kind, LONGEST, LONGEST_SAID, Offer, Session, Team, Welcome, nonce, open, seal, take,
+    Head, Kind, LONGEST, LONGEST_SAID, Offer, Session, Welcome, nonce, open, seal, take,
 };
 use crate::key::Key;
 use crate::{LineError, LineSettings};
 
 /// Pause between two offers that nobody answers.
-const OFFER_EVERY: Duration = Duration::from_millis(100);
+pub(crate) const OFFER_EVERY: Duration = Duration::from_millis(100);
 /// After so long without a word of its team it offers itself anew: the team's end may be another one.
 const SILENCE: Duration = Duration::from_secs(1);
-/// Round trips whose shortest is the line's.
-const ROUND_TRIPS: u64 = 8;
 
 /// The runner's end. Clones are the same end.
 #[derive(Clone)]
-pub struct Away(Rc<RefCell<End>>);
+pub struct Away(pub(crate) Rc<RefCell<End>>);
 
-struct End {
-    carrier: Arc<dyn Carrier>,
+pub(crate) struct End {
+    pub(crate) carrier: Arc<dyn Carrier>,
     key: Key,
     copies: usize,
     offer: Vec<u8>,
     /// Both parts of the session.
-    own: u64,
+    pub(crate) own: u64,
     team: u64,
     session: Session,
     incoming: VecDeque<u8>,
@@ -47,32 +45,17 @@ struct End {
     buffer: Vec<u8>,
 }
 
-/// A team that has taken a runner.
-pub struct Taken {
-    /// The line to it.
-    pub line: Away,
-    /// What the runner has to know.
-    pub team: Team,
-    /// The shortest of several.
-    pub round_trip: Duration,
-}
-
 impl Away {
-    /// Offers a runner to the team's end, for as long as `patience` lasts and `is_stopped` does not say so.
-    ///
-    /// # Errors
-    /// Nobody answers, or the team does not take it.
-    pub fn connect(
+    /// One that nobody has taken yet.
+    pub(crate) fn open(
         LineSettings { carrier, key, copies }: LineSettings,
-        offer: Offer,
-        patience: Duration,
-        is_stopped: &dyn Fn() -> bool,
-    ) -> Result<Taken, LineError> {
+        offer: &Offer,
+    ) -> Result<Self, LineError> {
         let failed = |source| LineError::Carrier { address: carrier.address(), source };
-        let offer = postcard::to_stdvec(&offer).map_err(std::io::Error::other).map_err(failed)?;
+        let offer = postcard::to_stdvec(offer).map_err(std::io::Error::other).map_err(failed)?;
         let own = nonce().map_err(failed)?;
-        let now = Instant::now();
-        let mut end = End {
+        let now = carrier.now();
+        Ok(Self(Rc::new(RefCell::new(End {
             session: Session::new(&key, own, 0),
             carrier,
             key,
@@ -86,15 +69,13 @@ impl Away {
             offered: now,
             is_replaced: false,
             buffer: vec![0; LONGEST],
-        };
-        let (team, round_trip) = end.offer_until_taken(patience, is_stopped)?;
-        Ok(Taken { line: Self(Rc::new(RefCell::new(end))), team, round_trip })
+        }))))
     }
 
     /// What waits for a packet and knows the time.
     pub fn rest(&self) -> Rest {
         let carrier = Arc::clone(&self.0.borrow().carrier);
-        Rest { carrier, began: Instant::now(), until_ns: AtomicU64::new(0) }
+        Rest { began: carrier.now(), carrier, until_ns: AtomicU64::new(0) }
     }
 
     /// Says what was written since, in one datagram, and offers the runner anew where the team has been silent for long.
@@ -105,14 +86,15 @@ impl Away {
             let head = end.session.next(Kind::Answered);
             end.say(head, &said);
         }
-        if end.heard.elapsed() > SILENCE && end.offered.elapsed() > OFFER_EVERY {
+        if end.since(end.heard) > SILENCE && end.since(end.offered) > OFFER_EVERY {
             end.offer(0);
         }
     }
 
     /// How long ago the team was heard last.
     pub fn silence(&self) -> Duration {
-        self.0.borrow().heard.elapsed()
+        let end = self.0.borrow();
+        end.since(end.heard)
     }
 
     /// Whether the team's end is another one than that which took the runner: it has to be offered anew.
@@ -122,71 +104,20 @@ impl Away {
 }
 
 impl End {
-    fn offer_until_taken(
-        &mut self,
-        patience: Duration,
-        is_stopped: &dyn Fn() -> bool,
-    ) -> Result<(Team, Duration), LineError> {
-        let address = self.carrier.address();
-        let (began, mut shortest, mut number) = (Instant::now(), None::<Duration>, 0);
-        let mut is_taken = false;
-        loop {
-            if is_stopped() {
-                return Err(LineError::Interrupted);
-            }
-            if began.elapsed() > patience {
-                return Err(match is_taken {
-                    true => LineError::Busy { address },
-                    false => LineError::NoAnswer { address },
-                });
-            }
-            let said = Instant::now();
-            self.offer(number);
-            let Some((head, words)) = self.await_answer(number, said) else { continue };
-            match head.kind {
-                Kind::Welcome => {
-                    let Ok(welcome) = postcard::from_bytes::<Welcome>(&words) else { continue };
-                    let took = said.elapsed();
-                    let round_trip = shortest.map_or(took, |shortest| shortest.min(took));
-                    shortest = Some(round_trip);
-                    number += 1;
-                    if number == ROUND_TRIPS {
-                        self.team = welcome.nonce;
-                        self.session = Session::new(&self.key, self.own, self.team);
-                        self.heard = Instant::now();
-                        return Ok((welcome.team, round_trip));
-                    }
-                }
-                // Another runner is there: it may leave.
-                _ if words.is_empty() => {
-                    is_taken = true;
-                    std::thread::sleep(OFFER_EVERY);
-                }
-                _ => {
-                    let reason = String::from_utf8_lossy(&words).into_owned();
-                    return Err(LineError::Refused { address, reason });
-                }
-            }
-        }
+    fn since(&self, then: Instant) -> Duration {
+        self.carrier.now().saturating_duration_since(then)
     }
 
-    /// The answer to an offer of this number, if it comes soon.
-    fn await_answer(&mut self, number: u64, since: Instant) -> Option<(Head, Vec<u8>)> {
-        while since.elapsed() < OFFER_EVERY {
-            let Some((head, words)) = self.receive() else {
-                self.carrier.wait(OFFER_EVERY.saturating_sub(since.elapsed()));
-                continue;
-            };
-            let is_answer = matches!(head.kind, Kind::Welcome | Kind::Refusal);
-            if is_answer && head.session == self.own && head.number == number {
-                return Some((head, words));
-            }
-        }
-        None
+    /// The team has welcomed the runner with its part of the session.
+    pub(crate) fn begin(&mut self, team: u64) {
+        self.team = team;
+        self.session = Session::new(&self.key, self.own, team);
+        self.heard = self.carrier.now();
     }
 
-    fn offer(&mut self, number: u64) {
-        self.offered = Instant::now();
+    /// Says what the runner is, the time from which an answer counts. An answer has the same number.
+    pub(crate) fn offer(&mut self, number: u64) {
+        self.offered = self.carrier.now();
         let offer = self.offer.clone();
         self.say(Head { kind: Kind::Offer, session: self.own, number }, &offer);
     }
@@ -199,7 +130,7 @@ impl End {
     }
 
     /// The next datagram of whoever has the key, if one has come.
-    fn receive(&mut self) -> Option<(Head, Vec<u8>)> {
+    pub(crate) fn receive(&mut self) -> Option<(Head, Vec<u8>)> {
         loop {
             let (len, _) = self.carrier.receive(&mut self.buffer)?;
             let datagram = self.buffer.get(..len)?;
@@ -214,7 +145,7 @@ impl End {
         while let Some((head, said)) = self.receive() {
             match head.kind {
                 Kind::Shown if self.session.takes(&head) => {
-                    self.heard = Instant::now();
+                    self.heard = self.carrier.now();
                     self.incoming.extend(said);
                 }
                 Kind::Welcome if head.session == self.own => {
@@ -276,7 +207,7 @@ impl Rest {
 impl Clock for Rest {
     fn now_ns(&self) -> u64 {
         // Of a process that runs for less than five hundred years.
-        self.began.elapsed().as_nanos() as u64
+        self.carrier.now().saturating_duration_since(self.began).as_nanos() as u64
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::io::{self, ErrorKind};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
@@ -55,6 +55,11 @@ pub trait Carrier: Send + Sync {
 
     /// Where it goes, or where it listens, in words for a person.
     fn address(&self) -> String;
+
+    /// The time by which an end counts how long nobody was heard.
+    fn now(&self) -> Instant {
+        Instant::now()
+    }
 
     /// Takes `hear`, and calls it with all that comes from now on in place of having it received, where it has a thread to do so.
     /// As it stands it has none, and gives `hear` back.

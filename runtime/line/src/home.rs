@@ -125,7 +125,8 @@ impl Home {
 
     /// How long ago the runner was heard last; none: never.
     pub fn silence(&self) -> Option<Duration> {
-        self.shared.state().heard.map(|heard| heard.elapsed())
+        let now = self.shared.carrier.now();
+        self.shared.state().heard.map(|heard| now.saturating_duration_since(heard))
     }
 }
 
@@ -171,7 +172,7 @@ impl Shared {
         let Some((head, said)) = open(&self.key, datagram) else { return };
         match head.kind {
             Kind::Offer => self.answer(head, said, from, judge),
-            Kind::Answered if self.state().takes(head, said, from) => wake(),
+            Kind::Answered if self.state().takes(head, said, (from, self.carrier.now())) => wake(),
             Kind::Answered | Kind::Welcome | Kind::Refusal | Kind::Shown => {}
         }
     }
@@ -182,7 +183,7 @@ impl Shared {
             Err(_) => Err("its version of the line is another one".to_owned()),
         };
         let welcomed = judged.map(|team| {
-            let part = self.state().welcome(head.session, from, &self.key);
+            let part = self.state().welcome(head.session, (from, self.carrier.now()), &self.key);
             part.map(|nonce| Welcome { nonce, team })
         });
         let (kind, words) = match welcomed {
@@ -197,14 +198,17 @@ impl Shared {
     }
 }
 
+/// Where a datagram came from, and when.
+type From = (Option<SocketAddr>, Instant);
+
 impl State {
     /// The team's part of a session with this runner; none while another one acts.
-    fn welcome(&mut self, own: u64, address: Option<SocketAddr>, key: &Key) -> Option<u64> {
+    fn welcome(&mut self, own: u64, (address, now): From, key: &Key) -> Option<u64> {
         let mut known = self.runner.iter().chain(&self.welcomed);
         if let Some(known) = known.find(|known| known.own == own) {
             return Some(known.team);
         }
-        if self.heard.is_some_and(|heard| heard.elapsed() < PATIENCE) {
+        if self.heard.is_some_and(|heard| now.saturating_duration_since(heard) < PATIENCE) {
             return None;
         }
         let team = nonce().ok()?;
@@ -217,7 +221,7 @@ impl State {
     }
 
     /// Whether it is news of the runner, which then waits to be read.
-    fn takes(&mut self, head: Head, said: &[u8], from: Option<SocketAddr>) -> bool {
+    fn takes(&mut self, head: Head, said: &[u8], (address, now): From) -> bool {
         // With the first words of a session it begins, and an earlier one is over, as is every other that was to begin.
         if let Some(next) = self.welcomed.iter().position(|next| next.session.is_of(&head)) {
             self.runner = self.welcomed.remove(next);
@@ -227,8 +231,8 @@ impl State {
         if !runner.session.takes(&head) {
             return false;
         }
-        runner.address = from;
-        self.heard = Some(Instant::now());
+        runner.address = address;
+        self.heard = Some(now);
         if self.incoming.len() + said.len() > WAITING {
             self.incoming.clear();
         }

@@ -57,17 +57,21 @@ mod away;
 mod carrier;
 mod datagram;
 mod home;
+mod joining;
 mod key;
+mod runner;
 #[cfg(test)]
 mod tests;
 
 use std::sync::Arc;
 
-pub use away::{Away, Rest, Taken};
+pub use away::{Away, Rest};
 pub use carrier::{Carrier, Hear, Udp};
 pub use datagram::{Offer, Team};
 pub use home::{Home, HomePort};
+pub use joining::{Joining, Taken};
 pub use key::{Key, KeyError};
+pub use runner::{FarPoll, FarRunner};
 
 /// What both ends of a line are opened with.
 #[derive(Clone)]
