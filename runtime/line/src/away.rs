@@ -91,6 +91,11 @@ impl Away {
         }
     }
 
+    /// Takes in what has come; whoever reads does so, too.
+    pub fn hear(&self) {
+        self.0.borrow_mut().pump();
+    }
+
     /// How long ago the team was heard last.
     pub fn silence(&self) -> Duration {
         let end = self.0.borrow();

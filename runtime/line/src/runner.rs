@@ -69,11 +69,12 @@ impl<'a, L: AgentLink> FarRunner<'a, L> {
     /// As [`Self::join`].
     pub fn poll(&mut self, policy: &mut dyn Policy) -> Result<FarPoll, LinkError> {
         self.line.send();
+        self.line.hear();
         if self.line.is_replaced() {
             return Ok(FarPoll::Replaced);
         }
         let is_silent = self.line.silence() > self.silence;
-        // Who is cut off acts no more: there is nothing to answer.
+        // Who is cut off acts no more: there is nothing to answer. Who is heard again says so first.
         if is_silent != std::mem::replace(&mut self.is_cut, is_silent) {
             return Ok(if is_silent { FarPoll::CutOff } else { FarPoll::Heard });
         }

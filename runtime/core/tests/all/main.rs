@@ -3,7 +3,6 @@
 mod allocators;
 mod commands;
 mod elementary;
-mod fleet;
 mod golden_plans;
 mod plan_format;
 mod pointing;

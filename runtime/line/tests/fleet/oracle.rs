@@ -9,12 +9,11 @@ use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, FrameKind, FrameView};
 use sortie_core::{Allocator, NO_ACTION, UNASSIGNED};
 use zerocopy::IntoBytes;
 
+use super::crossing::Crossing;
 use super::network::SentFrame;
 use super::setup::{MILLISECOND, Setup, Weather};
 use super::toy;
 
-/// After so long without any disturbance, everything works as if there had never been one.
-pub(crate) const RECOVERY_NS: u64 = 300 * MILLISECOND;
 /// A leader's first allocation comes within this time.
 const TAKEOVER_NS: u64 = 10 * MILLISECOND;
 /// How much later than its deadline a tick may end.
@@ -50,6 +49,12 @@ pub(crate) enum Invariant {
     TakenOver,
     /// Nobody finds, when its time is over, what it was to be woken for.
     WokenAfterData,
+    /// One process on all hosts acts for an agent: whose session was followed by another one's is heard no more.
+    OneSeat,
+    /// What crosses between hosts was said there, in a session that goes on, and is newer than all before.
+    NothingOld,
+    /// A runner that hears nothing of its team says so, and does nothing.
+    SaysSo,
     /// Some time after the last disturbance all agents act in time, on fresh allocations.
     Recovered,
     /// When the world ends, everyone does.
@@ -78,6 +83,9 @@ pub(crate) struct Coverage {
     pub(crate) worlds: u64,
     pub(crate) degraded: u64,
     pub(crate) step_downs: u64,
+    pub(crate) sessions: u64,
+    pub(crate) cuts_told: u64,
+    pub(crate) passed_on: u64,
 }
 
 impl Coverage {
@@ -88,7 +96,8 @@ impl Coverage {
         let (takeovers, worlds) = (takeovers.saturating_sub(seeds), worlds.saturating_sub(seeds));
         let agents = [fallbacks, stale, unallocated, by_heuristic];
         let fleet = [ticks, calm_ticks, takeovers, worlds, degraded, step_downs];
-        agents.into_iter().chain(fleet).all(|count| count > 0)
+        let hosts = [self.sessions, self.cuts_told, self.passed_on];
+        agents.into_iter().chain(fleet).chain(hosts).all(|count| count > 0)
     }
 
     pub(crate) fn add(&mut self, other: &Self) {
@@ -102,6 +111,9 @@ impl Coverage {
         self.worlds += other.worlds;
         self.degraded += other.degraded;
         self.step_downs += other.step_downs;
+        self.sessions += other.sessions;
+        self.cuts_told += other.cuts_told;
+        self.passed_on += other.passed_on;
     }
 }
 
@@ -131,6 +143,7 @@ pub(crate) struct Oracle {
     leader: Option<Leader>,
     /// Ticks in a row in which nobody acted for each agent.
     silent: Vec<u32>,
+    crossing: Crossing,
     calm_since_ns: u64,
     /// The world runs, undisturbed, since then.
     world_since_ns: Option<u64>,
@@ -156,6 +169,7 @@ impl Oracle {
             newest_order: (0, 0),
             readers: BTreeMap::new(),
             leader: None,
+            crossing: Crossing::default(),
             calm_since_ns: 0,
             world_since_ns: None,
             coverage: Coverage::default(),
@@ -191,7 +205,7 @@ impl Oracle {
     }
 
     pub(crate) fn is_calm(&self, now_ns: u64) -> bool {
-        now_ns >= self.calm_since_ns + RECOVERY_NS
+        now_ns >= self.calm_since_ns + self.setup.recovery_ns()
     }
 
     /// The world was started, or ran on after a stop.
@@ -335,11 +349,47 @@ impl Oracle {
         if self.answers.len() > MEMORY {
             self.answers.pop_first();
         }
-        if let Some((invariant, detail)) =
-            self.misstated(pid, action).filter(|_| !self.is_hostile())
-        {
+        // Who stands in answers for nothing: the runner that is away has done so.
+        let fault = match self.crossing.is_stand_in(pid) {
+            true => {
+                self.coverage.passed_on += 1;
+                self.crossing.passed_on(action)
+            }
+            false => self.misstated(pid, action),
+        };
+        if let Some((invariant, detail)) = fault.filter(|_| !self.is_hostile()) {
             self.violate(invariant, now_ns, format!("runner {pid}, agent {agent}: {detail}"));
         }
+    }
+
+    pub(crate) fn stands_in(&mut self, pid: u32, agents: u64) {
+        self.crossing.stands_in(pid, agents);
+    }
+
+    pub(crate) fn session_begins(&mut self, now_ns: u64, pid: u32) {
+        let session = self.crossing.begins(pid);
+        self.coverage.sessions += 1;
+        self.note(now_ns, || format!("runner {pid}: session {session} begins"));
+    }
+
+    pub(crate) fn cut_off(&mut self, now_ns: u64, pid: u32) {
+        self.note(now_ns, || format!("runner {pid} is cut off, and says so"));
+        self.coverage.cuts_told += 1;
+        self.crossing.cut_off(pid);
+    }
+
+    pub(crate) fn believes_heard(&mut self, now_ns: u64, pid: u32, heard_ns: u64) {
+        if let Some((invariant, detail)) = self.crossing.believes_heard(now_ns, heard_ns, pid) {
+            self.violate(invariant, now_ns, detail);
+        }
+    }
+
+    /// A runner on another host answers.
+    pub(crate) fn said_away(&mut self, now_ns: u64, pid: u32, action: &ActionMsg) {
+        if let Some((invariant, detail)) = self.crossing.said(pid, action) {
+            self.violate(invariant, now_ns, detail);
+        }
+        self.action_sent(now_ns, pid, action);
     }
 
     fn misstated(&self, pid: u32, action: &ActionMsg) -> Option<(Invariant, String)> {
@@ -418,7 +468,8 @@ impl Oracle {
     fn fallback_task(&self, view: &FrameView<'_>, agent: usize) -> u8 {
         let mut tasks = vec![UNASSIGNED; self.setup.agents];
         let mut costs = vec![0.0; self.setup.agents * toy::TASKS];
-        if self.setup.heuristic {
+        // A runner on another host has no rule: it does not see all of the frame.
+        if self.setup.heuristic && !self.setup.is_away(agent) {
             let allocated =
                 toy::heuristic(&mut costs).allocate(&view.allocation_state(), &mut tasks);
             allocated.expect("the heuristic refuses nothing");

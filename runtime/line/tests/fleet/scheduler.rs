@@ -3,13 +3,16 @@
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use sortie_core::roles::Poll;
 use sortie_core::wire::Role;
 
+use super::air::{Air, End};
+use super::hosts::{FarProcess, StandIn};
 use super::link::SimulatedLink;
 use super::network::{Losses, Network, Shared};
-use super::oracle::{Coverage, Invariant, Oracle, RECOVERY_NS, Violation};
+use super::oracle::{Coverage, Invariant, Oracle, Violation};
 use super::process::{self, Body, Polled, Process, Wake};
 use super::random::Random;
 use super::setup::{MICROSECOND, MILLISECOND, Setup, Weather};
@@ -28,7 +31,9 @@ const KILL_AFTER: u32 = 5;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Seat {
     World,
+    /// Where that one is on another host: who stands in for it.
     Runner(usize),
+    Away(usize),
     Allocator(usize),
 }
 
@@ -37,6 +42,7 @@ enum Event {
     Start(Seat),
     Wake { pid: u32, plan: u64, wake: Wake },
     Ring(u32),
+    Arrival(End),
     GrantLock,
     Misfortune,
     Storm,
@@ -70,6 +76,7 @@ pub(crate) fn run(setup: Setup, traces: bool) -> Outcome {
 struct Fleet {
     setup: Setup,
     network: Shared,
+    air: Arc<Air>,
     random: Random,
     events: BTreeMap<(u64, u64), Event>,
     planned: u64,
@@ -92,6 +99,7 @@ impl Fleet {
         let network = Network::new(Random::new(random.next()), setup.weather, oracle);
         let mut fleet = Self {
             network: Rc::new(RefCell::new(network)),
+            air: Air::new(Random::new(setup.seed ^ 0xa1)),
             random,
             events: BTreeMap::new(),
             planned: 0,
@@ -108,11 +116,13 @@ impl Fleet {
         };
         let runners = (0..fleet.setup.runners.len()).map(Seat::Runner);
         let seats = runners.chain((0..fleet.setup.allocators).map(Seat::Allocator));
+        let away = (0..fleet.setup.away.len()).filter(|line| fleet.setup.away[*line]);
+        let seats = seats.chain(away.map(Seat::Away).collect::<Vec<_>>());
         for seat in seats.chain([Seat::World]).collect::<Vec<_>>() {
             let after = fleet.random.below(20 * MILLISECOND);
             fleet.plan(after, Event::Start(seat));
         }
-        let pause = 20 * MILLISECOND + RECOVERY_NS + WATCHED_NS;
+        let pause = 45 * MILLISECOND + fleet.setup.recovery_ns() + WATCHED_NS;
         for storm in 0..u64::from(fleet.setup.storms) {
             fleet.plan(pause + storm * (STORM_NS + pause), Event::Storm);
             fleet.plan(pause + storm * (STORM_NS + pause) + STORM_NS, Event::Calm);
@@ -144,6 +154,7 @@ impl Fleet {
         while let Some(((now_ns, _), event)) = self.events.pop_first() {
             self.now_ns = now_ns;
             self.network.borrow_mut().now_ns = now_ns;
+            self.air.set_time(now_ns);
             if matches!(event, Event::End) {
                 return self.check_end();
             }
@@ -169,6 +180,8 @@ impl Fleet {
                     self.plan_wake(pid, takes, Wake::Rung);
                 }
             }
+            Event::Arrival(End::Away(pid)) => self.plan(0, Event::Ring(pid)),
+            Event::Arrival(End::Home(line)) => self.arrive(line),
             Event::GrantLock => self.grant_lock(),
             Event::Misfortune if self.is_storm => {
                 self.misfortune();
@@ -179,7 +192,12 @@ impl Fleet {
             Event::Storm => {
                 self.note(|| "the storm begins".into());
                 self.is_storm = true;
-                self.network.borrow_mut().losses = self.losses();
+                let losses = self.losses(self.setup.weather);
+                self.network.borrow_mut().losses = losses;
+                if self.setup.has_hosts() {
+                    let losses = self.losses(Weather::Radio);
+                    self.air.set_losses(losses);
+                }
                 self.disturb(self.now_ns + STORM_NS);
                 self.plan(0, Event::Misfortune);
             }
@@ -187,7 +205,9 @@ impl Fleet {
                 self.note(|| "the storm is over".into());
                 self.is_storm = false;
                 self.network.borrow_mut().losses = Losses::default();
-                self.disturb(self.now_ns + 15 * MILLISECOND);
+                self.air.set_losses(Losses::default());
+                let late = if self.setup.has_hosts() { 45 } else { 15 };
+                self.disturb(self.now_ns + late * MILLISECOND);
             }
             Event::ShutDown => {
                 self.is_ending = true;
@@ -200,9 +220,9 @@ impl Fleet {
         }
     }
 
-    fn losses(&mut self) -> Losses {
+    fn losses(&mut self, weather: Weather) -> Losses {
         let mut up_to = |most| self.random.below(most);
-        match self.setup.weather {
+        match weather {
             Weather::Shared => Losses::default(),
             Weather::Radio => Losses {
                 lost: up_to(150),
@@ -223,6 +243,22 @@ impl Fleet {
         let rings = std::mem::take(&mut self.network.borrow_mut().rings);
         for (at_ns, pid) in rings {
             self.plan(at_ns - self.now_ns, Event::Ring(pid));
+        }
+        for (at_ns, end) in self.air.take_arrivals() {
+            self.plan(at_ns - self.now_ns, Event::Arrival(end));
+        }
+        for pid in self.air.take_woken() {
+            self.plan(0, Event::Ring(pid));
+        }
+    }
+
+    /// Something has come for who stands in: a process that is stopped hears it when it runs on.
+    fn arrive(&mut self, line: usize) {
+        let now_ns = self.now_ns;
+        let stopped = self.process(Seat::Runner(line)).map_or(0, |one| one.stopped_until_ns);
+        match stopped.checked_sub(now_ns).filter(|left| *left > 0) {
+            Some(left) => self.plan(left, Event::Arrival(End::Home(line))),
+            None => self.air.deliver(line),
         }
     }
 
@@ -253,6 +289,20 @@ impl Fleet {
                 network.oracle.coverage.worlds += 1;
                 (Role::World, process::world(&self.setup, self.world_term))
             }
+            Seat::Runner(line) if self.setup.away[line] => {
+                self.network.borrow_mut().oracle.stands_in(pid, self.setup.runners[line]);
+                let (air, waking) = (Arc::clone(&self.air), Arc::clone(&self.air));
+                let wake = move || waking.wake(pid);
+                let stand_in = StandIn::open(&self.setup, (air, line, pid), wake);
+                (Role::Runner, Body::StandIn(Box::new(stand_in)))
+            }
+            Seat::Away(line) => {
+                let (network, air) = (self.network.clone(), Arc::clone(&self.air));
+                // Up to 400 millionths, which is more than a bad quartz.
+                let drift = self.random.below(400);
+                let away = FarProcess::new(&self.setup, network, (air, line, pid), drift);
+                (Role::Runner, Body::Away(Box::new(away)))
+            }
             Seat::Runner(index) => {
                 let agents = self.setup.runners[index];
                 (Role::Runner, Body::Runner(Box::new(process::runner(&self.setup, pid, agents))))
@@ -265,7 +315,11 @@ impl Fleet {
         self.note(|| format!("{seat:?} starts as {pid}"));
         self.disturb(self.now_ns);
         let bytes = self.setup.format.layout.payload_bytes();
-        let link = SimulatedLink::open(self.network.clone(), pid, role, bytes);
+        let network = self.network.clone();
+        let link = match seat {
+            Seat::Away(_) => SimulatedLink::none(network, pid),
+            _ => SimulatedLink::open(network, pid, role, bytes),
+        };
         let mut process = Process::new(pid, body, link, &self.setup);
         process.join().expect("a new process is alive");
         self.processes.insert(pid, process);
@@ -352,7 +406,11 @@ impl Fleet {
                 oracle.violate(Invariant::WokenAfterData, self.now_ns, detail);
             }
         }
-        match process.poll(&self.setup, &self.network) {
+        let mut polled = process.poll(&self.setup, &self.network);
+        if self.air.is_dead(pid) {
+            polled = Polled::Killed;
+        }
+        match polled {
             Polled::Next(Poll::Again | Poll::Answered) => {
                 let takes = self.random.between(2, 20) * MICROSECOND;
                 self.plan_wake(pid, takes, Wake::Busy);
@@ -419,6 +477,9 @@ impl Fleet {
     }
 
     fn misfortune(&mut self) {
+        if self.setup.has_hosts() && self.random.chance(250) {
+            return self.cut();
+        }
         let kind = self.random.below(10);
         if kind == 0 {
             return self.jump();
@@ -440,8 +501,9 @@ impl Fleet {
         }
         let operations = self.random.between(1, 12) as u32;
         self.note(|| format!("process {pid} will be killed after {operations} operations"));
-        if let Some(endpoint) = self.network.borrow_mut().endpoints.get_mut(&pid) {
-            endpoint.operations_left = Some(operations);
+        match self.network.borrow_mut().endpoints.get_mut(&pid) {
+            Some(endpoint) => endpoint.operations_left = Some(operations),
+            None => self.air.kill_after(pid, operations),
         }
         self.disturb(self.now_ns + HEARTBEAT_NS);
     }
@@ -458,6 +520,9 @@ impl Fleet {
         let Some(process) = self.processes.get_mut(&pid) else { return };
         process.stopped_until_ns = process.stopped_until_ns.max(until);
         let until = process.stopped_until_ns;
+        if let Body::Away(away) = &mut process.body {
+            away.since_ns = away.since_ns.max(until);
+        }
         if matches!(process.body, Body::Allocator(_)) {
             // A lock that became free meanwhile is taken then.
             self.plan(until - self.now_ns + 1, Event::GrantLock);
@@ -480,6 +545,17 @@ impl Fleet {
             let _ = process.leave();
         }
         self.bury(pid, true);
+    }
+
+    /// The line to another host is cut.
+    fn cut(&mut self) {
+        let lines: Vec<usize> =
+            (0..self.setup.away.len()).filter(|&one| self.setup.away[one]).collect();
+        let line = lines[self.random.below(lines.len() as u64) as usize];
+        let until_ns = self.now_ns + self.random.between(5 * MILLISECOND, 700 * MILLISECOND);
+        self.note(|| format!("line {line} is cut until {:.3} ms", until_ns as f64 / 1e6));
+        self.air.cut(line, until_ns);
+        self.disturb(until_ns);
     }
 
     /// The whole machine stands still, and its clock goes on.

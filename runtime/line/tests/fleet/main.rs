@@ -1,17 +1,21 @@
-//! The fleet in one process: world, runners and allocators over a simulated link, by seed.
+//! The fleet in one process: world, runners and allocators over a simulated link, runners on other hosts over simulated lines, by
+//! seed.
 //!
 //! Processes are killed in the middle of their work, stopped, sent away and started again; messages
 //! are lost, late, doubled and damaged; time jumps. An oracle that sees everything holds the roles to
 //! the invariants of `oracle.rs`. The same seed always gives the same run.
 //!
 //! ```text
-//! cargo test --release -p sortie-core --test all fleet::                             # some hundred seeds
-//! SORTIE_FLEET_SEEDS=10000 cargo test --release -p sortie-core --test all fleet::    # more
-//! SORTIE_FLEET_SEED=17 cargo test -p sortie-core --test all replay -- --nocapture   # one, with its trace
+//! cargo test --release -p sortie-line --test fleet                              # some hundred seeds
+//! SORTIE_FLEET_SEEDS=10000 cargo test --release -p sortie-line --test fleet    # more
+//! SORTIE_FLEET_SEED=17 cargo test -p sortie-line --test fleet replay -- --nocapture   # one, with its trace
 //! ```
-#![allow(clippy::print_stdout, reason = "helpers of tests print as well")]
+#![allow(clippy::print_stdout, clippy::unwrap_used, missing_docs, reason = "helpers of tests")]
 
+mod air;
+mod crossing;
 mod decision_log;
+mod hosts;
 mod link;
 mod network;
 mod oracle;
@@ -56,7 +60,7 @@ fn try_seed(seed: u64, planted: Option<Planted>) -> Result<Coverage, (Option<Inv
 }
 
 fn command(seed: u64) -> String {
-    format!("SORTIE_FLEET_SEED={seed} cargo test -p sortie-core --test all replay -- --nocapture")
+    format!("SORTIE_FLEET_SEED={seed} cargo test -p sortie-line --test fleet replay -- --nocapture")
 }
 
 #[test]
@@ -121,6 +125,21 @@ fn find(planted: Planted, seeds: u64) -> (u64, Invariant) {
 #[test]
 fn an_old_term_that_is_accepted_is_found() {
     assert_eq!(find(Planted::OldTermAccepted, 100).1, Invariant::NoOldTerm);
+}
+
+#[test]
+fn two_who_stand_in_for_the_same_agents_are_found() {
+    assert_eq!(find(Planted::TwoSeats, 20).1, Invariant::OneSeat);
+}
+
+#[test]
+fn an_answer_that_is_passed_on_twice_is_found() {
+    assert_eq!(find(Planted::AnswerRestamped, 20).1, Invariant::NothingOld);
+}
+
+#[test]
+fn a_cut_that_is_not_told_is_found() {
+    assert_eq!(find(Planted::CutUnsaid, 20).1, Invariant::SaysSo);
 }
 
 #[test]

@@ -9,6 +9,7 @@ use sortie_core::link::{
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, Role, StatMsg};
 use zerocopy::IntoBytes;
 
+use super::hosts::Newest;
 use super::network::{Network, SentFrame, Shared};
 
 /// One process's end. Once the process is killed, everything fails and nothing leaves.
@@ -17,12 +18,19 @@ pub(crate) struct SimulatedLink {
     pid: u32,
     payload_blocks: usize,
     kept: Option<Rc<SentFrame>>,
+    newest: Option<FrameHeader>,
 }
 
 impl SimulatedLink {
     pub(crate) fn open(network: Shared, pid: u32, role: Role, payload_bytes: usize) -> Self {
         network.borrow_mut().open(pid, role);
-        Self { network, pid, payload_blocks: payload_bytes / size_of::<FrameBlock>(), kept: None }
+        let payload_blocks = payload_bytes / size_of::<FrameBlock>();
+        Self { network, pid, payload_blocks, kept: None, newest: None }
+    }
+
+    /// That of a process on another host, which has none.
+    pub(crate) fn none(network: Shared, pid: u32) -> Self {
+        Self { network, pid, payload_blocks: 0, kept: None, newest: None }
     }
 
     /// Does one operation, unless the process is dead.
@@ -58,13 +66,15 @@ impl FrameRx for SimulatedLink {
         &mut self,
         accept: &mut dyn FnMut(Frame<'_>) -> bool,
     ) -> Result<bool, LinkError> {
-        let mut accepted = None;
+        let (mut accepted, mut newest) = (None, None);
         self.drain(LinkError::Frames, Network::next_frame, |sent| {
+            newest = Some(sent.header);
             let frame = Frame { header: &sent.header, payload: sent.payload.as_bytes() };
             if accept(frame) {
                 accepted = Some(sent);
             }
         })?;
+        self.newest = newest.or(self.newest);
         let is_accepted = accepted.is_some();
         if let Some(frame) = &accepted {
             self.network.borrow_mut().oracle.frame_kept(self.pid, &frame.header);
@@ -76,6 +86,12 @@ impl FrameRx for SimulatedLink {
     fn frame(&self) -> Option<Frame<'_>> {
         let sent = self.kept.as_ref()?;
         Some(Frame { header: &sent.header, payload: sent.payload.as_bytes() })
+    }
+}
+
+impl Newest for SimulatedLink {
+    fn newest(&self) -> Option<FrameHeader> {
+        self.newest
     }
 }
 

@@ -7,6 +7,7 @@ use sortie_core::link::{
 };
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, Role, StatMsg};
 
+use super::hosts::Newest;
 use super::link::SimulatedLink;
 
 /// A planted bug.
@@ -18,6 +19,19 @@ pub(crate) enum Planted {
     WakeUpBeforeData,
     /// Allocators keep the subtask of an agent that has gone.
     DeadAgentKept,
+    /// Two processes stand in for the same agents.
+    TwoSeats,
+    /// Who stands in passes an answer on once more, for the next tick.
+    AnswerRestamped,
+    /// A runner that is cut off does not say so.
+    CutUnsaid,
+}
+
+impl Planted {
+    /// Whether it is one of lines between hosts.
+    pub(crate) fn is_of_hosts(self) -> bool {
+        matches!(self, Self::TwoSeats | Self::AnswerRestamped | Self::CutUnsaid)
+    }
 }
 
 /// What a process with the bug remembers.
@@ -26,6 +40,7 @@ pub(crate) struct Memory {
     /// Term and epoch of every allocation seen; agents are told the place in this list as the epoch.
     seen: Vec<(u32, u32)>,
     last: Option<AllocMsg>,
+    answered: Option<ActionMsg>,
 }
 
 /// A link with the bug in it.
@@ -55,6 +70,12 @@ impl ActionTx for PlantedLink<'_> {
         if self.bug == Planted::OldTermAccepted && action.alloc_term == u32::MAX {
             let place = action.alloc_epoch as usize - 1;
             (sent.alloc_term, sent.alloc_epoch) = self.memory.seen[place];
+        }
+        let before = self.memory.answered.replace(sent);
+        if let Some(before) = before
+            .filter(|before| self.bug == Planted::AnswerRestamped && before.agent == sent.agent)
+        {
+            self.link.send_action(&ActionMsg { tick: sent.tick, ..before })?;
         }
         self.link.send_action(&sent)
     }
@@ -102,6 +123,12 @@ impl FrameRx for PlantedLink<'_> {
 
     fn frame(&self) -> Option<Frame<'_>> {
         self.link.frame()
+    }
+}
+
+impl Newest for PlantedLink<'_> {
+    fn newest(&self) -> Option<FrameHeader> {
+        self.link.newest()
     }
 }
 

@@ -6,6 +6,7 @@ use sortie_core::roles::{
     TickReport, WorldError, WorldObserver, WorldOptions, WorldRole,
 };
 
+use super::hosts::{FarProcess, StandIn};
 use super::link::SimulatedLink;
 use super::network::Shared;
 use super::planted::{Memory, PlantedLink};
@@ -28,6 +29,8 @@ pub(crate) enum Body {
     World { role: Box<WorldRole>, world: ToyWorld },
     Runner(Box<RunnerRole>),
     Allocator(Box<AllocatorRole>),
+    StandIn(Box<StandIn>),
+    Away(Box<FarProcess>),
 }
 
 pub(crate) struct Process {
@@ -67,7 +70,7 @@ impl Process {
     /// Says hello; the world says nothing.
     pub(crate) fn join(&mut self) -> Result<(), LinkError> {
         match &mut self.body {
-            Body::World { .. } => Ok(()),
+            Body::World { .. } | Body::StandIn(_) | Body::Away(_) => Ok(()),
             Body::Runner(role) => role.join(&mut self.link),
             Body::Allocator(role) => role.join(&mut self.link),
         }
@@ -82,6 +85,8 @@ impl Process {
             },
             Body::Runner(role) => role.leave(&mut self.link),
             Body::Allocator(role) => role.leave(&mut self.link),
+            Body::StandIn(_) => Ok(()),
+            Body::Away(away) => away.leave(),
         }
     }
 
@@ -105,6 +110,16 @@ impl Process {
                     poll_allocator(role, &mut PlantedLink { link, memory, bug }, costs, setup)
                 }
             },
+            Body::StandIn(stand_in) => match setup.planted {
+                None => stand_in.poll(link).map_err(|_| None),
+                Some(bug) => {
+                    stand_in.poll(&mut PlantedLink { link, memory, bug }).map_err(|_| None)
+                }
+            },
+            Body::Away(away) => {
+                let now_ns = network.borrow().now_ns;
+                away.poll(now_ns).map_err(|_| None)
+            }
         };
         match polled {
             Ok(poll) => Polled::Next(poll),

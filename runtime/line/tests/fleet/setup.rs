@@ -40,6 +40,8 @@ pub(crate) struct Setup {
     /// Storms, each with a calm after it.
     pub(crate) storms: u32,
     pub(crate) planted: Option<Planted>,
+    /// Which runners are on other hosts.
+    pub(crate) away: Vec<bool>,
 }
 
 impl Setup {
@@ -58,6 +60,18 @@ impl Setup {
         };
         let has_period = random.chance(500);
         let interval = random.between(3, 8) * MILLISECOND;
+        // Lines have a checksum that nobody forges: what is hostile is at home.
+        let has_hosts = weather != Weather::Hostile && random.chance(400);
+        let mut away: Vec<bool> = (0..runners).map(|_| has_hosts && random.chance(600)).collect();
+        let is_planted = planted.is_some_and(Planted::is_of_hosts);
+        let weather = if is_planted { Weather::Shared } else { weather };
+        if is_planted {
+            away.fill(true);
+        }
+        if planted == Some(Planted::TwoSeats) {
+            groups = vec![groups[0]; 2];
+            away = vec![true; 2];
+        }
         let layout = FrameLayout::new(toy::shape(agents)).expect("the toy is small");
         Self {
             seed,
@@ -74,6 +88,23 @@ impl Setup {
             weather,
             storms: 2,
             planted,
+            away,
         }
+    }
+
+    pub(crate) fn has_hosts(&self) -> bool {
+        self.away.contains(&true)
+    }
+
+    /// Whether a runner on another host acts for this agent.
+    pub(crate) fn is_away(&self, agent: usize) -> bool {
+        let mut runners = self.runners.iter().zip(&self.away);
+        runners.any(|(agents, is_away)| *is_away && agents >> agent & 1 == 1)
+    }
+
+    /// After so long without any disturbance, everything works as if there had never been one. A line is for a second its runner's
+    /// that has died, and a runner waits as long before it looks for another end of its team.
+    pub(crate) fn recovery_ns(&self) -> u64 {
+        if self.has_hosts() { 1_700 * MILLISECOND } else { 300 * MILLISECOND }
     }
 }
