@@ -74,17 +74,21 @@ impl<'a, L: AgentLink> FarRunner<'a, L> {
             return Ok(FarPoll::Replaced);
         }
         let is_silent = self.line.silence() > self.silence;
-        // Who is cut off acts no more: there is nothing to answer. Who is heard again says so first.
+        // Who is heard again says so before it acts.
         if is_silent != std::mem::replace(&mut self.is_cut, is_silent) {
             return Ok(if is_silent { FarPoll::CutOff } else { FarPoll::Heard });
         }
         self.token = self.link.token();
+        let heartbeat_ns = self.rest.now_ns().saturating_add(HEARTBEAT_NS);
+        // Who is cut off acts no more, on what it was shown before neither: its team has gone on.
+        if is_silent {
+            return Ok(FarPoll::Wait { until_ns: heartbeat_ns });
+        }
         match self.role.poll(&mut self.link, policy)? {
             Poll::Ended => Ok(FarPoll::Ended),
             Poll::Again | Poll::Answered => Ok(FarPoll::Again),
             Poll::Wait { until_ns } => {
                 self.line.send();
-                let heartbeat_ns = self.rest.now_ns().saturating_add(HEARTBEAT_NS);
                 Ok(FarPoll::Wait { until_ns: until_ns.min(heartbeat_ns) })
             }
         }

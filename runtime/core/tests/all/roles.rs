@@ -1,4 +1,4 @@
-//! What the roles do where something is missing, late or new, case by case; `fleet of sortie-line mixes the cases.
+//! What the roles do where something is missing, late or new, case by case; the fleet of `sortie-line` mixes the cases.
 
 use std::cell::Cell;
 
