@@ -5,13 +5,15 @@ use std::time::Duration;
 
 use clap::Args;
 use sortie_bundle::{Bundle, SubtaskConditioning};
-use sortie_core::Policy;
 use sortie_core::link::{FrameBlock, LinkError, Serial, packet_bytes};
 use sortie_core::roles::{Identity, RunnerOptions, RunnerRole};
 use sortie_core::wire::{ABI, FrameFormat};
-use sortie_ipc::{BUILD, DomainFacts, Error, HostProcess, Stop};
-use sortie_line::{Away, FarPoll, FarRunner, LineSettings, Offer, Taken};
+use sortie_core::{Allocator, Policy};
+use sortie_ipc::{BUILD, DomainContract, DomainFacts, Error, HostProcess, Stop, allocator_offer};
+use sortie_line::{Away, FarAllocator, FarPoll, FarRunner, LineSettings, Offer, Taken};
 
+use crate::allocation::AllocatorChoice;
+use crate::allocator::{DeployedAllocator, ProposalArguments};
 use crate::deployment::{domain_contract, model_id};
 use crate::failure::{Exit, Failure, Outcome};
 use crate::line::{LineArguments, LineEnd, Place};
@@ -22,10 +24,15 @@ use crate::trust::TrustArguments;
 
 /// How long a team is looked for at first.
 const PATIENCE: Duration = Duration::from_secs(10);
+const CUT_OFF: &str = "warning: cut off: nothing is heard of the team, and nothing is done";
+const HEARD: &str = "the team is heard again";
+const JOINING_ANEW: &str = "the team's end of the line is another one: joining anew";
 /// The share of a period that a round trip may take: the rest is for deciding.
 const SHARE_OF_PERIOD: f64 = 0.8;
+/// The same of an allocator, which has to answer while its agents have time left.
+const SHARE_OF_ALLOCATOR: f64 = 0.3;
 
-/// Act for agents of a team that is up on another host
+/// Act for agents of a team that is up on another host, or allocate for it
 ///
 /// The team's host holds their seats and sends what they see, this one decides, by the same bundle and with the same bits as a
 /// process there would. A datagram a tick each way, with a session, a number and a checksum made with the key of both: nothing old
@@ -35,7 +42,8 @@ const SHARE_OF_PERIOD: f64 = 0.8;
 #[command(after_help = "Examples:
   sortie up models/save-the-city --rate 100 --away 3,4 --listen 192.168.1.5:7447 --key line.key    # on the first host
   sortie join 192.168.1.5:7447 models/save-the-city --agents 3,4 --key line.key                    # on the second one
-  sortie join zenoh/tcp/192.168.1.5:7447 models/save-the-city --agents 3,4 --key line.key          # through zenoh")]
+  sortie join zenoh/tcp/192.168.1.5:7447 models/save-the-city --agents 3,4 --key line.key          # through zenoh
+  sortie join 192.168.1.5:7448 models/save-the-city --allocator --key line.key     # of `sortie up --allocator-listen ...:7448`")]
 pub(crate) struct JoinArguments {
     /// Where the team listens: HOST:PORT, or through zenoh `zenoh/tcp/HOST:PORT`
     #[arg(value_name = "ADDRESS")]
@@ -43,8 +51,19 @@ pub(crate) struct JoinArguments {
     /// Folder of the bundle, the same as the team's
     bundle: PathBuf,
     /// Agents to act for: all that the team left to this line
-    #[arg(long, value_delimiter = ',', required = true)]
+    #[arg(long, value_delimiter = ',', required_unless_present = "allocator")]
     agents: Vec<u16>,
+    /// Allocate instead: a candidate beside those on the team's host, which lead while this one is not heard
+    #[arg(long, conflicts_with = "agents")]
+    allocator: bool,
+    /// Who assigns agents to subtasks, the same as the team's [default: learned where the bundle has it, else coordinated]
+    #[arg(long, value_enum, requires = "allocator")]
+    allocation: Option<AllocatorChoice>,
+    #[command(flatten)]
+    proposals: ProposalArguments,
+    /// Seed of the team, where its allocator draws
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
     #[command(flatten)]
     line: LineArguments,
     /// Through zenoh: the team's domain, by which teams at one router are told apart
@@ -75,6 +94,9 @@ pub(crate) fn run(arguments: &JoinArguments) -> Outcome {
     let end = LineEnd { is_home: false, place: address, domain, agents };
     let settings = line.settings(&end)?;
     let bundle = arguments.trust.open_bundle(&arguments.bundle)?;
+    if arguments.allocator {
+        return allocate(arguments, &settings, &bundle, &stop);
+    }
     let mut policy = DeployedPolicy::open(&bundle, arguments.backend)?;
     let offer = Offer {
         abi: ABI,
@@ -89,7 +111,7 @@ pub(crate) fn run(arguments: &JoinArguments) -> Outcome {
         patience = Duration::MAX;
         match act(&bundle, policy.team()?.as_mut(), &taken, offer, &stop)? {
             End::Over => return Ok(()),
-            End::Replaced => tell!("the team's end of the line is another one: joining anew"),
+            End::Replaced => tell!("{JOINING_ANEW}"),
             End::Interrupted => return Err(Failure::new(Exit::Interrupted, "interrupted")),
         }
     }
@@ -106,7 +128,8 @@ fn connect(
     let taken = Away::connect(settings, offer, patience, &|| stop.is_set());
     let taken = taken.map_err(|error| Failure::from(Error::from(error)))?;
     let period = Duration::from_nanos(taken.team.period_ns);
-    if !period.is_zero() && taken.round_trip > period.mul_f64(SHARE_OF_PERIOD) {
+    let share = if arguments.allocator { SHARE_OF_ALLOCATOR } else { SHARE_OF_PERIOD };
+    if !period.is_zero() && taken.round_trip > period.mul_f64(share) {
         let message = format!(
             "a round trip to {address} takes {}, of a period of {}: the team would have to be slower (--rate)",
             milliseconds(taken.round_trip),
@@ -114,9 +137,58 @@ fn connect(
         );
         return Err(Failure::new(Exit::Mismatch, message));
     }
-    let agents = agents.iter().map(u16::to_string).collect::<Vec<_>>().join(", ");
-    tell!("acting for agents {agents}; a round trip takes {}", milliseconds(taken.round_trip));
+    let what = match arguments.allocator {
+        true => "allocating".to_owned(),
+        false => {
+            let agents = agents.iter().map(u16::to_string).collect::<Vec<_>>().join(", ");
+            format!("acting for agents {agents}")
+        }
+    };
+    tell!("{what}; a round trip takes {}", milliseconds(taken.round_trip));
     Ok(taken)
+}
+
+/// Allocates for a team until it ends.
+fn allocate(
+    arguments: &JoinArguments,
+    settings: &LineSettings,
+    bundle: &Bundle,
+    stop: &Stop,
+) -> Outcome {
+    let JoinArguments { allocation, backend, seed, proposals, .. } = *arguments;
+    let Some(choice) = AllocatorChoice::of_bundle(bundle, allocation)? else {
+        let message = format!("`{}` knows of no subtasks", arguments.bundle.display());
+        return Err(Failure::new(Exit::Usage, message));
+    };
+    let mut memory = DeployedAllocator::open(bundle, choice, backend, seed, proposals)?;
+    let draws = Some(proposals.draws(seed));
+    let contract = DomainContract { draws, ..domain_contract(bundle, Some(choice)) };
+    let offer = allocator_offer(&contract, model_id(bundle));
+    let mut patience = PATIENCE;
+    loop {
+        let taken = connect(arguments, settings.clone(), offer, patience, stop)?;
+        patience = Duration::MAX;
+        match answer(memory.allocator()?.as_mut(), taken.line, stop) {
+            End::Over => return Ok(()),
+            End::Replaced => tell!("{JOINING_ANEW}"),
+            End::Interrupted => return Err(Failure::new(Exit::Interrupted, "interrupted")),
+        }
+    }
+}
+
+fn answer(allocator: &mut dyn Allocator, line: Away, stop: &Stop) -> End {
+    let mut far = FarAllocator::new(line);
+    while !stop.is_set() {
+        match far.poll(allocator) {
+            FarPoll::Again => {}
+            FarPoll::Wait { until_ns } => far.wait(until_ns),
+            FarPoll::CutOff => tell!("{CUT_OFF}"),
+            FarPoll::Heard => tell!("{HEARD}"),
+            FarPoll::Replaced => return End::Replaced,
+            FarPoll::Ended => return End::Over,
+        }
+    }
+    End::Interrupted
 }
 
 /// Acts until the team ends, another one is there, or the user is.
@@ -171,10 +243,8 @@ fn play(
         match runner.poll(policy)? {
             FarPoll::Again => {}
             FarPoll::Wait { until_ns } => runner.wait(until_ns),
-            FarPoll::CutOff => {
-                tell!("warning: cut off: nothing is heard of the team, and nothing is done");
-            }
-            FarPoll::Heard => tell!("the team is heard again"),
+            FarPoll::CutOff => tell!("{CUT_OFF}"),
+            FarPoll::Heard => tell!("{HEARD}"),
             FarPoll::Replaced => return Ok(End::Replaced),
             FarPoll::Ended => return Ok(End::Over),
         }

@@ -50,7 +50,7 @@ pub struct LineThrough<'a> {
     pub locator: Option<&'a str>,
     /// A file of zenoh's own.
     pub configuration: Option<&'a Path>,
-    /// The team's domain and the agents that are away, by which lines through one router are told apart.
+    /// The team's domain and the agents that are away, none for an allocator, by which lines through one router are told apart.
     pub domain: &'a str,
     pub agents: &'a [u16],
 }

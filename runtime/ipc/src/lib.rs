@@ -41,9 +41,9 @@ pub use policy::{
 pub use process_info::{BUILD, Candidate, HostProcess, NotAProcess, ProcessInfo};
 pub use processes::{
     AllocatorProcess, Children, Fill, Loaded, LoadedModel, ProcessSettings, Registry,
-    RunnerProcess, SwappedAllocator, SwappedPolicy, WorldSettings, allocator_process, group_agents,
-    runner_process, runner_process_with_heuristic, stand_in_process, world_process,
-    world_process_with_fill,
+    RunnerProcess, SwappedAllocator, SwappedPolicy, WorldSettings, allocator_offer,
+    allocator_process, group_agents, runner_process, runner_process_with_heuristic,
+    stand_in_allocator_process, stand_in_process, world_process, world_process_with_fill,
 };
 pub use real_time::RealTime;
 pub use stop::{MonotonicClock, Stop, Wakeable, Waker, outlive_file_limits};

@@ -88,6 +88,10 @@ impl Away {
         }
         if end.since(end.heard) > SILENCE && end.since(end.offered) > OFFER_EVERY {
             end.offer(0);
+            // Who is cut off has nothing to answer. But where its first words were lost the team's end shows it nothing before it
+            // has said some.
+            let head = end.session.next(Kind::Answered);
+            end.say(head, &[]);
         }
     }
 

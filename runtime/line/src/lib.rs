@@ -53,6 +53,7 @@
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod allocator;
 mod away;
 mod carrier;
 mod datagram;
@@ -65,6 +66,7 @@ mod tests;
 
 use std::sync::Arc;
 
+pub use allocator::{AllocatorAtHome, FarAllocator};
 pub use away::{Away, Rest};
 pub use carrier::{Carrier, Hear, Udp};
 pub use datagram::{Offer, Team};

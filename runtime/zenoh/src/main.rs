@@ -32,7 +32,10 @@ impl Zenoh for Linked {
     fn line(&self, end: &LineThrough<'_>) -> Result<Arc<dyn Carrier>, Failure> {
         let mut agents = end.agents.to_vec();
         agents.sort_unstable();
-        let agents = agents.iter().map(u16::to_string).collect::<Vec<_>>().join(",");
+        let agents = match agents.as_slice() {
+            [] => "allocator".to_owned(),
+            agents => agents.iter().map(u16::to_string).collect::<Vec<_>>().join(","),
+        };
         let settings = ZenohSettings {
             end: if end.is_home { End::Home } else { End::Away },
             locator: end.locator,

@@ -7,7 +7,7 @@ use sortie_bundle::{Bundle, FallbackAllocation};
 use sortie_core::Allocator;
 use sortie_ipc::{
     AllocatorProcess, Domain, DomainContract, ProcessSettings, RunnerProcess, Stop,
-    stand_in_process,
+    stand_in_allocator_process, stand_in_process,
 };
 
 use super::registry::{allocators, policies};
@@ -32,10 +32,13 @@ pub(crate) struct ProcessArguments {
     bundle: PathBuf,
     #[arg(long, env = "SORTIE_DOMAIN", default_value = "default")]
     domain: String,
+    /// Stands in for an allocator on another host
+    #[arg(long)]
+    away: bool,
     /// Agents that a runner acts for, or that a stand-in stands for
     #[arg(long, value_delimiter = ',')]
     agents: Vec<u16>,
-    /// Where a stand-in listens for the runner on another host
+    /// Where a stand-in listens for the other host
     #[arg(long, value_name = "ADDRESS", default_value_t = Place::loopback())]
     listen: Place,
     #[command(flatten)]
@@ -139,6 +142,12 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
             outcome(stand_in_process(&domain, &contract, agents, line, &settings, &stop))
         }
         Role::Runner => act(arguments, (&bundle, &contract), &domain, &settings, &stop),
+        Role::Allocator if arguments.away => {
+            let ProcessArguments { listen: place, domain: name, .. } = arguments;
+            let end = LineEnd { is_home: true, place, domain: name, agents: &[] };
+            let line = arguments.line.settings(&end)?;
+            outcome(stand_in_allocator_process(&domain, &contract, line, &settings, &stop))
+        }
         Role::Allocator => {
             allocate(arguments, allocation, (&bundle, &contract), &domain, &settings, &stop)
         }

@@ -35,6 +35,7 @@ use crate::trust::TrustArguments;
   sortie up models/save-the-city --private
   sortie up models/better --trust keys/
   sortie up models/save-the-city --rate 100 --away 3,4 --listen 192.168.1.5:7447 --key line.key
+  sortie up models/save-the-city --rate 100 --allocator-listen 192.168.1.5:7448 --key line.key
   sortie up models/save-the-city --domain north --standbys 2 --restart never")]
 pub(crate) struct UpArguments {
     /// Folder of the bundle
@@ -61,6 +62,9 @@ pub(crate) struct UpArguments {
     /// Where that host finds this one: IP:PORT, or through zenoh `zenoh/tcp/IP:PORT`
     #[arg(long, value_name = "ADDRESS", default_value_t = Place::loopback())]
     listen: Place,
+    /// Where another host's allocator, a candidate like those here, finds this one: `sortie join --allocator`
+    #[arg(long, value_name = "ADDRESS")]
+    allocator_listen: Option<Place>,
     #[command(flatten)]
     line: LineArguments,
     /// The world acts, by the bundle's policy, for agents whose process is missing
@@ -182,13 +186,17 @@ fn charges(
         (1..).zip(&groups).map(|(index, group)| with_flags(team.runner(group), own_core(index)));
     let world = with_flags(world(arguments, team), own_core(0));
     let stand_in = (!arguments.away.is_empty()).then(|| stand_in(arguments, team));
-    Ok([world].into_iter().chain(allocators).chain(runners).chain(stand_in).collect())
+    let asking =
+        arguments.allocator_listen.as_ref().map(|place| stand_in_allocator(arguments, team, place));
+    let asking = asking.flatten();
+    Ok([world].into_iter().chain(allocators).chain(runners).chain(stand_in).chain(asking).collect())
 }
 
-/// Refuses agents that are nobody's to leave to another host, and makes the secret of the line to it.
+/// Refuses agents that are nobody's to leave to another host, and makes the secret of the lines to others.
 fn check_away(arguments: &UpArguments, agents: usize) -> Outcome {
-    let UpArguments { away, listen, playing, line, .. } = arguments;
-    if away.is_empty() {
+    let UpArguments { away, listen, allocator_listen, playing, line, .. } = arguments;
+    let places = (!away.is_empty()).then_some(listen).into_iter().chain(allocator_listen);
+    if places.clone().next().is_none() {
         return Ok(());
     }
     let is_absent = |agent: u16| playing.absentees.seats() >> agent & 1 == 1;
@@ -198,7 +206,7 @@ fn check_away(arguments: &UpArguments, agents: usize) -> Outcome {
         let message = format!("there is no agent {agent} to be away, or it is absent");
         return Err(Failure::new(Exit::Usage, message));
     }
-    line.check(listen)?;
+    places.clone().try_for_each(|place| line.check(place))?;
     line.key_or_new().map(drop)
 }
 
@@ -210,6 +218,15 @@ fn stand_in(arguments: &UpArguments, team: &Team<'_>) -> Charge {
     line.put(&mut charge.command);
     charge.command.args(scheduling.flags(None));
     charge
+}
+
+/// Who stands in for the allocator on another host; none for a team that knows of no subtasks.
+fn stand_in_allocator(arguments: &UpArguments, team: &Team<'_>, place: &Place) -> Option<Charge> {
+    let mut charge = team.allocator("the stand-in of an allocator".to_owned())?;
+    charge.command.arg("--away").arg("--listen").arg(place.to_string());
+    arguments.line.put(&mut charge.command);
+    charge.command.args(arguments.scheduling.flags(None));
+    Some(charge)
 }
 
 /// The world, which prints the report.

@@ -14,7 +14,7 @@ use super::abandoned::Abandoned;
 use super::children::Parent;
 use super::models::{Held, Models, Registry};
 use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive, is_named};
-use crate::domain::{Domain, DomainContract, Lock, Membership};
+use crate::domain::{Domain, DomainContract, DomainFacts, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAllocator, LinkSetup};
 use crate::process_info::ProcessInfo;
@@ -91,14 +91,13 @@ impl AllocatorProcess {
             decision_interval: contract.decision_interval,
         });
         role.join(&mut link)?;
-        let leadership = Leadership::seek(&membership, &link, Duration::ZERO)?;
         settings.real_time.claim()?;
         let (schema, mixes_teams) = (format.schema, contract.mixes_teams);
         let contract = contract.hash;
         Ok(Self {
             link,
             role,
-            leadership,
+            leadership: Leadership::Left,
             parent,
             identity,
             schema,
@@ -121,6 +120,38 @@ impl AllocatorProcess {
         registry: Option<Registry<SwappedAllocator>>,
         stop: &Stop,
     ) -> Result<(), Error> {
+        self.run(allocator, registry, &|| true, stop)
+    }
+
+    /// As [`Self::allocate`] with one allocator, for as long as it may lead: otherwise, and where it refuses a state because it may
+    /// not any more, others do.
+    pub(super) fn allocate_while(
+        &mut self,
+        may_lead: &dyn Fn() -> bool,
+        allocator: &mut dyn Allocator,
+        stop: &Stop,
+    ) -> Result<(), Error> {
+        self.run(allocator, None, may_lead, stop)
+    }
+
+    /// What its domain is.
+    pub(super) fn facts(&self) -> Result<DomainFacts, Error> {
+        let none = || Error::NoWorld { domain: self.membership.domain().id().to_owned() };
+        self.membership.facts()?.ok_or_else(none)
+    }
+
+    /// What wakes it.
+    pub(super) fn waker(&self) -> Waker {
+        self.link.waker()
+    }
+
+    fn run(
+        &mut self,
+        allocator: &mut dyn Allocator,
+        registry: Option<Registry<SwappedAllocator>>,
+        may_lead: &dyn Fn() -> bool,
+        stop: &Stop,
+    ) -> Result<(), Error> {
         let schema = self.schema;
         let Self { link, role, leadership, parent, identity, abandoned, membership, .. } = self;
         let model = Box::new(allocator) as Box<dyn Allocator + '_>;
@@ -139,6 +170,7 @@ impl AllocatorProcess {
             abandoned,
             identity,
             schema,
+            may_lead,
             is_told_to_end: false,
         };
         drive(&mut allocating, link, stop)
@@ -163,6 +195,7 @@ struct Allocating<'a, 'm> {
     abandoned: &'a mut Abandoned,
     identity: &'a mut Identity,
     schema: u64,
+    may_lead: &'a dyn Fn() -> bool,
     is_told_to_end: bool,
 }
 
@@ -170,14 +203,21 @@ impl Process for Allocating<'_, '_> {
     type Link = IoxAllocator;
 
     fn poll(&mut self, link: &mut IoxAllocator) -> Result<Poll, Error> {
-        self.leadership.follow(self.role, self.membership, link)?;
+        self.leadership.follow(self.role, self.membership, link, (self.may_lead)())?;
         let Self { role, models, identity, .. } = self;
         role.receive(link)?;
         if let Some(model) = models.follow(role.asked_generation(link), identity) {
             role.change_model(model);
         }
         match models.in_use() {
-            Some(allocator) => role.answer(link, allocator.as_mut()).map_err(into_error),
+            Some(allocator) => match role.answer(link, allocator.as_mut()) {
+                // Others are asked about that frame, at once.
+                Err(AllocatorError::Refused { .. }) if !(self.may_lead)() => {
+                    self.leadership.follow(role, self.membership, link, false)?;
+                    Ok(Poll::Again)
+                }
+                answered => answered.map_err(into_error),
+            },
             // Agents go on with the allocation that they have until its bundle has been opened.
             None => Ok(Poll::Wait { until_ns: u64::MAX }),
         }
@@ -231,6 +271,8 @@ impl Controlled for Allocating<'_, '_> {
 
 /// Whether this process may lead, which the kernel decides.
 enum Leadership {
+    /// Left to others.
+    Left,
     /// Another process leads, or nobody yet.
     Sought(Candidacy),
     /// This one leads for as long as it keeps the lock.
@@ -243,14 +285,21 @@ impl Leadership {
         Candidacy::start(wait, after, link.waker()).map(Self::Sought)
     }
 
-    /// Tells the role that it leads; lets the lock go where the role has stepped down.
+    /// Tells the role that it leads; lets the lock go where the role has stepped down, or may not lead.
     fn follow(
         &mut self,
         role: &mut AllocatorRole,
         membership: &Membership,
         link: &impl Wakeable,
+        may_lead: bool,
     ) -> Result<(), Error> {
         match self {
+            Self::Left if may_lead => *self = Self::seek(membership, link, Duration::ZERO)?,
+            Self::Left => {}
+            _ if !may_lead => {
+                role.stand_by();
+                *self = Self::Left;
+            }
             Self::Sought(candidacy) => {
                 if let Some(lock) = candidacy.take()? {
                     role.lead(lock.term());

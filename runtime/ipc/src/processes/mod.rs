@@ -29,7 +29,7 @@ pub(crate) use children::Caretaker;
 pub use children::{Children, group_agents};
 pub use models::{Loaded, LoadedModel, Registry};
 pub use runner::{RunnerProcess, SwappedPolicy, runner_process, runner_process_with_heuristic};
-pub use stand_in::stand_in_process;
+pub use stand_in::{allocator_offer, stand_in_allocator_process, stand_in_process};
 pub(crate) use world::into_error as into_world_error;
 pub use world::{Fill, WorldSettings, world_process, world_process_with_fill};
 

@@ -1,4 +1,7 @@
-//! Who stands in a team for a runner on another host: it holds the seats, and passes on what both say.
+//! Who stands in a team for a runner on another host: it holds the seats, and passes on what both say. And who stands in for an
+//! allocator there: it holds the lead, and asks.
+
+use std::time::Duration;
 
 use sortie_core::link::{
     ActionTx, AllocRx, Bell, Clock, Frame, FrameRx, LinkError, Relay, StatTx, Wake, packet_bytes,
@@ -7,9 +10,10 @@ use sortie_core::roles::{Counters, Identity, Poll};
 use sortie_core::wire::{
     ABI, ActionMsg, AllocMsg, Command, ControlReq, ControlStatus, FrameHeader, Role, StatMsg,
 };
-use sortie_line::{Home, HomePort, LineSettings, Offer, Team};
+use sortie_line::{AllocatorAtHome, Home, HomePort, LineSettings, Offer, Team};
 
 use super::abandoned::Abandoned;
+use super::allocator::AllocatorProcess;
 use super::children::Parent;
 use super::runner::{port_name, seats};
 use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive, is_named, linger};
@@ -18,6 +22,13 @@ use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
 use crate::process_info::ProcessInfo;
 use crate::stop::{Stop, Wakeable};
+
+/// The share of a period within which an allocator on another host answers.
+const SHARE_OF_PERIOD: f64 = 0.35;
+/// The same for a team without a period.
+const PATIENCE: Duration = Duration::from_millis(100);
+/// Behind those of all runners' hosts.
+const ALLOCATORS_HOST: u16 = 65;
 
 /// Stands for the runner of `agents` on another host, in this thread, until the world ends. The seats are taken whether or not
 /// anybody is at the other end: without it the agents' fallbacks act, and nobody else can.
@@ -72,6 +83,46 @@ pub fn stand_in_process(
     drive(&mut process, &mut link, stop)
 }
 
+/// Stands for an allocator on another host, in this thread, until the world ends: it leads like any other, asks that one, and leaves
+/// the lead to others where no answer comes within 35 % of a period, and while nothing is heard of it.
+///
+/// # Errors
+/// No world comes, it runs another contract, the address cannot be listened at, or a signal came.
+pub fn stand_in_allocator_process(
+    domain: &Domain,
+    contract: &DomainContract,
+    line: LineSettings,
+    settings: &ProcessSettings,
+    stop: &Stop,
+) -> Result<Counters, Error> {
+    let mut process = AllocatorProcess::join(domain, contract, settings, stop)?;
+    let facts = process.facts()?;
+    let team = Team::new(facts.shape(), facts.period_ns(), ALLOCATORS_HOST);
+    let wanted = allocator_offer(contract, settings.model);
+    let judge = move |offer: &Offer| check(offer, &wanted).map(|()| team);
+    let patience = match Duration::from_nanos(facts.period_ns()) {
+        Duration::ZERO => PATIENCE,
+        period => period.mul_f64(SHARE_OF_PERIOD),
+    };
+    let waker = process.waker();
+    let far = AllocatorAtHome::open(line, judge, patience, move || waker.wake())?;
+    let ended = process.allocate_while(&|| far.tend(), &mut &far, stop);
+    if ended.is_ok() {
+        far.end();
+    }
+    let left = process.leave();
+    ended.and(left)
+}
+
+/// What an allocator on another host says of itself. From what it draws and by which rule belongs to its contract.
+pub fn allocator_offer(contract: &DomainContract, model: [u8; 16]) -> Offer {
+    let DomainContract { hash, allocation, draws, .. } = contract;
+    // FNV-1a, from the contract on.
+    let mix = |hash: u64, byte: u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
+    let contract = format!("{allocation:?} {draws:?}").bytes().fold(*hash, mix);
+    Offer { abi: ABI, contract, model, agents: 0 }
+}
+
 /// The number of a runner's host: one more than that of its first agent, so that each has its own, and home is 0.
 fn host_of(seats: u64) -> u16 {
     // There are 64 agents at most.
@@ -89,7 +140,12 @@ fn check(offer: &Offer, wanted: &Offer) -> Result<(), String> {
         ("ABI of messages", wanted.abi.to_string(), offer.abi.to_string())
     } else if offer.contract != wanted.contract {
         let told = |contract: u64| format!("{contract:016x}");
-        ("contract", told(wanted.contract), told(offer.contract))
+        let what = if wanted.agents == 0 {
+            "contract (by --allocation, --seed and --proposals, too)"
+        } else {
+            "contract"
+        };
+        (what, told(wanted.contract), told(offer.contract))
     } else if offer.model != wanted.model {
         ("bundle", model(wanted.model), model(offer.model))
     } else if offer.agents != wanted.agents {
