@@ -53,7 +53,7 @@ impl Line {
     }
 }
 
-/// A runner elsewhere, and what it tells.
+/// A runner or an allocator elsewhere, and what it tells.
 struct Away {
     child: Child,
     lines: Receiver<String>,
@@ -61,10 +61,12 @@ struct Away {
 
 impl Away {
     fn join(address: &str, key: &str) -> Self {
-        let mut child = sortie(&["join", address, BUNDLE, "--agents", "3,4", "--key", key])
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("the command line starts");
+        Self::start(&["join", address, BUNDLE, "--agents", "3,4", "--key", key])
+    }
+
+    fn start(words: &[&str]) -> Self {
+        let mut child =
+            sortie(words).stderr(Stdio::piped()).spawn().expect("the command line starts");
         let told = BufReader::new(child.stderr.take().expect("standard error"));
         let (tell, lines) = channel();
         std::thread::spawn(move || {
@@ -140,6 +142,76 @@ fn agents_on_another_host_act_through_cuts_and_restarts() {
     let remade = json(&["remake", &record, "--json"]);
     assert_eq!(remade["different"], 0, "{remade}");
     assert!(remade["actions"].as_u64() > Some(500), "{remade}");
+}
+
+/// Who leads the allocators, and in which term; none where nobody says so.
+fn leader(domain: &TestDomain) -> Option<(u64, u64)> {
+    let told = json(&["control", "info", "--domain", &domain.id, "--json"]);
+    let mut processes = told["processes"].as_array().expect("a list").iter();
+    let leader = processes.find(|one| one["leads"] == true)?;
+    Some((leader["pid"].as_u64()?, leader["term"].as_u64()?))
+}
+
+#[test]
+fn an_allocator_on_another_host_leads_while_it_is_heard() {
+    let domain = TestDomain::new("hosts-allocator");
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let (key, record, address) = (path("line.key"), path("run.mcap"), free_address());
+    let mut up = sortie(&["up", BUNDLE, "--rate", "50", "--quiet", "--domain", &domain.id])
+        .args(["--standbys", "0", "--allocator-listen", &address, "--key", &key])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the command line starts");
+    wait_until("there is a secret", || std::path::Path::new(&key).exists());
+    wait_until("the team plays", || {
+        output(&["control", "info", "--domain", &domain.id]).status.success()
+    });
+    let line = Line::to(&address);
+    let join = ["join", &line.address, BUNDLE, "--allocator", "--key", &key];
+    let other = output(&[&join[..], &["--seed", "2"]].concat());
+    assert_fails(
+        &other,
+        78,
+        &["refuses: the contract (by --allocation, --seed and --proposals, too)"],
+    );
+    let mut away = Away::start(&join);
+    away.says("allocating; a round trip takes");
+    wait_until("somebody at home leads", || leader(&domain).is_some());
+    let home = leader(&domain).expect("somebody leads");
+    // Who leads steps down, and the one away is the only other candidate.
+    json(&["control", "step-down", "--domain", &domain.id, "--json"]);
+    let leads_next = |before: (u64, u64)| {
+        wait_until("another one leads", || {
+            leader(&domain).is_some_and(|(pid, term)| pid != before.0 && term > before.1)
+        });
+        leader(&domain).expect("somebody leads")
+    };
+    let stand_in = leads_next(home);
+    let recorder = ["record", BUNDLE, "--output", &record, "--domain", &domain.id, "--json"];
+    let mut recorder =
+        sortie(&recorder).stdout(Stdio::null()).spawn().expect("the command line starts");
+    ticks_pass(&domain, 100);
+    line.cut(true);
+    away.says("cut off");
+    let again = leads_next(stand_in);
+    assert_eq!(again.0, home.0, "the one at home leads again");
+    ticks_pass(&domain, 20);
+    line.cut(false);
+    away.says("the team is heard again");
+    json(&["control", "step-down", "--domain", &domain.id, "--json"]);
+    assert_eq!(leads_next(again).0, stand_in.0);
+    ticks_pass(&domain, 50);
+    json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
+    assert_eq!(up.wait().expect("its status").code(), Some(0));
+    assert_eq!(away.child.wait().expect("its status").code(), Some(0));
+    assert_eq!(recorder.wait().expect("its status").code(), Some(0));
+    wait_until("all have left", || domain.leftovers().is_empty());
+    // What was allocated elsewhere is what is allocated here.
+    let remade = json(&["remake", &record, "--json"]);
+    assert_eq!(remade["different"], 0, "{remade}");
+    assert!(remade["allocations"].as_u64() > Some(20), "{remade}");
 }
 
 #[test]
