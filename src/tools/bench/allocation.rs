@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use sortie_bundle::{Bundle, OwnedAllocationState};
+use sortie_cli::allocation::Allocation;
 use sortie_cli::allocator::{LearnedAllocator, ProposalArguments, ProposalMemory, none_learned};
 use sortie_cli::deployment::open_bundle;
 use sortie_cli::environment::{ScenarioSetName, entry_of};
@@ -39,11 +40,14 @@ pub(super) struct AllocationArguments {
     /// Draw how whole instances of bundles whose allocators point grow with subtasks, as SVG
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// Rule that plays the instances of an allocator that points [default: the allocator itself]
+    #[arg(long, value_enum, value_name = "RULE")]
+    pub(super) played_by: Option<Allocation>,
     /// Bundle with an allocator that proposes, which takes turns on the same states
     #[arg(long, value_name = "BUNDLE")]
     beside: Option<PathBuf>,
     #[command(flatten)]
-    proposals: ProposalArguments,
+    pub(super) proposals: ProposalArguments,
     #[command(flatten)]
     onnxruntime: OnnxRuntimeArguments,
     #[command(flatten)]
@@ -66,8 +70,7 @@ pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failur
     for folder in &arguments.bundles {
         let bundle = open_bundle(folder)?;
         if bundle.pointing_graphs().is_some() {
-            let (proposals, measuring) = (arguments.proposals, &arguments.measuring);
-            grown.push(pointing::measure(&bundle, proposals, measuring, &mut figures)?);
+            grown.push(pointing::measure(&bundle, arguments, &mut figures)?);
         } else {
             measure_team_values(&bundle, arguments, &mut figures)?;
         }

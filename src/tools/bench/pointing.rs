@@ -8,8 +8,9 @@ use sortie_cli::failure::Failure;
 use sortie_cli::policy::{Backend, DeployedPolicy};
 use sortie_learn::report::chart::{Line, growth};
 
+use super::allocation::AllocationArguments;
 use super::rounds::{alternate_long, our_engine};
-use super::{Figures, Measuring, OURS, pin, scenes};
+use super::{Figures, OURS, pin, scenes};
 
 /// Instances before anybody else has a turn.
 const CALLS_PER_TURN: usize = 4;
@@ -25,13 +26,18 @@ pub(super) struct Grown {
 /// Times instances of as many subtasks as the bundle's episodes have at most, and each of their rounds.
 pub(super) fn measure(
     bundle: &Bundle,
-    proposals: ProposalArguments,
-    measuring: &Measuring,
+    AllocationArguments { proposals, played_by, measuring, .. }: &AllocationArguments,
     figures: &mut Figures,
 ) -> Result<Grown, Failure> {
-    let choice = AllocatorChoice::Learned;
-    let mut ours = DeployedAllocator::open(bundle, choice, Backend::Plan, 0, proposals)?;
-    let instances = instances(bundle, &mut ours, measuring.common.seed)?;
+    let open =
+        |choice, proposals| DeployedAllocator::open(bundle, choice, Backend::Plan, 0, proposals);
+    let mut ours = open(AllocatorChoice::Learned, *proposals)?;
+    let rule =
+        played_by.map(|rule| open(AllocatorChoice::Rule(rule), ProposalArguments::default()));
+    let instances = match rule {
+        Some(rule) => instances(bundle, &mut rule?, measuring.common.seed)?,
+        None => instances(bundle, &mut ours, measuring.common.seed)?,
+    };
     let mut ours = ours.allocator()?;
     pin(measuring.pin)?;
     let rounds: Vec<&OwnedAllocationState> = instances.iter().flatten().collect();
