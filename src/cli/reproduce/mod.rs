@@ -84,13 +84,13 @@ struct Listed<'a> {
 fn list(recipes: &Recipes, arguments: &ReproduceArguments) -> Outcome {
     let mut table = Table::of_text(&["figure", "state", "runs", "what"]);
     for figure in &recipes.figures {
-        let seeds = figure.seeds(None)?;
         let folder = arguments.out.join(&figure.name);
-        let folders = figure.pairs().flat_map(|(case, method)| {
+        let mut ended = Vec::new();
+        for (case, method) in figure.pairs() {
             let out = folder_of(&folder, case, method);
-            seeds.iter().map(move |seed| run_folder(&out, *seed))
-        });
-        let ended: Vec<bool> = folders.map(|run| run.join("result.json").exists()).collect();
+            let runs = figure.seeds(method, None)?.into_iter().map(|seed| run_folder(&out, seed));
+            ended.extend(runs.map(|run| run.join("result.json").exists()));
+        }
         let finished = ended.iter().filter(|ended| **ended).count();
         let Figure { name, about, state, why, .. } = figure;
         if arguments.common.json {
@@ -138,9 +138,14 @@ impl Part<'_> {
 }
 
 /// All that is learned for a figure, in the order of its rows.
-fn parts<'a>(figure: &'a Figure, seeds: &[u64], folder: &Path) -> Result<Vec<Part<'a>>, Failure> {
+fn parts<'a>(
+    figure: &'a Figure,
+    asked: Option<SeedRange>,
+    folder: &Path,
+) -> Result<Vec<Part<'a>>, Failure> {
     let mut parts = Vec::new();
     for (case, method) in figure.pairs() {
+        let seeds = figure.seeds(method, asked)?;
         let out = folder_of(folder, case, method);
         let differs = figure.differs_by_seed(case, method);
         for seeds in seeds.chunks(if differs { 1 } else { seeds.len() }) {
@@ -164,14 +169,13 @@ fn reproduce(figure: &Figure, arguments: &ReproduceArguments) -> Outcome {
         let reason = format!("`{name}` ({state}) takes no runs: {}", figure.why);
         return Err(Failure::new(Exit::Usage, reason));
     }
-    let seeds = figure.seeds(arguments.seeds)?;
     let folder = arguments.out.join(&figure.name);
-    let parts = parts(figure, &seeds, &folder)?;
+    let parts = parts(figure, arguments.seeds, &folder)?;
     let stop = stop_on_signals()?;
     learn(&parts, &stop, arguments.common)?;
     measure_again(figure, &parts, &stop, arguments.common)?;
     let groups = groups(figure, &parts)?;
-    let mut came = came(figure, &seeds, &groups)?;
+    let mut came = came(figure, arguments.seeds, &groups)?;
     came.solvers = solvers::beside(&figure.solvers, &folder, arguments.common)?;
     let files = write(figure, &folder, &came, &groups)?;
     if arguments.common.json {
@@ -241,7 +245,11 @@ fn groups(figure: &Figure, parts: &[Part<'_>]) -> Result<Vec<Group>, Failure> {
 }
 
 /// What the runs came to, row by row.
-fn came<'a>(figure: &'a Figure, seeds: &'a [u64], groups: &[Group]) -> Result<Came<'a>, Failure> {
+fn came<'a>(
+    figure: &'a Figure,
+    asked: Option<SeedRange>,
+    groups: &[Group],
+) -> Result<Came<'a>, Failure> {
     let mut rows = Vec::new();
     for ((case, method), Group { runs, .. }) in figure.pairs().zip(groups) {
         let measured = figure.measures.iter().map(|measure| Measured::of(measure, runs));
@@ -250,14 +258,15 @@ fn came<'a>(figure: &'a Figure, seeds: &'a [u64], groups: &[Group]) -> Result<Ca
             case: &case.name,
             method: &method.name,
             command: figure.words(case, method, "SEED") + " --seed SEED --threads 1",
+            seeds: figure.seeds(method, asked)?,
             measures: measured.collect::<Result<_, _>>()?,
             published: method.published.get(&case.name).map(String::as_str),
             cpu_s: cpu_s.ok_or_else(|| Failure::new(Exit::Usage, "there are no seeds"))?,
         });
     }
-    let cpu_s = rows.iter().map(|row| row.cpu_s.mean * seeds.len() as f64).sum();
+    let cpu_s = rows.iter().map(|row| row.cpu_s.mean * row.seeds.len() as f64).sum();
     let Figure { name, about, why, .. } = figure;
-    Ok(Came { figure: name, about, why, seeds, rows, solvers: Vec::new(), cpu_s })
+    Ok(Came { figure: name, about, why, rows, solvers: Vec::new(), cpu_s })
 }
 
 /// Writes table and pictures; how many files.
@@ -365,6 +374,7 @@ mod tests {
             case: "case",
             method,
             command: String::new(),
+            seeds: vec![1],
             measures: vec![measured("early", 1.0), measured("late", 2.0)],
             published: None,
             cpu_s: spread(1.0),
@@ -374,7 +384,6 @@ mod tests {
             figure: "f",
             about: "two numbers",
             why: "",
-            seeds: &[1],
             rows,
             solvers: Vec::new(),
             cpu_s: 2.0,
@@ -396,7 +405,7 @@ mod tests {
         assert!(beside("").expect("none were asked for").is_empty());
         let solvers = beside("--sizes 5-15").expect("they were measured");
         let (figure, about, why) = ("f", "two numbers", "because.");
-        let came = Came { figure, about, why, seeds: &[1], rows: Vec::new(), solvers, cpu_s: 2.0 };
+        let came = Came { figure, about, why, rows: Vec::new(), solvers, cpu_s: 2.0 };
         let row = "| pyvrp 10 ms | 1.0001 ± 0.0002 | 12.0 | 3 |";
         assert!(came.markdown().contains(row), "{}", came.markdown());
         std::fs::write(&file, "{").expect("there is room");

@@ -38,7 +38,7 @@ pub(super) struct Figure {
     pub(super) why: String,
     /// Seeds of the runs of each case and method.
     #[serde(default)]
-    pub(super) seeds: Option<String>,
+    seeds: Option<String>,
     /// Words of all command lines.
     #[serde(default)]
     words: String,
@@ -88,6 +88,9 @@ pub(super) struct Case {
 pub(super) struct Method {
     pub(super) name: String,
     words: String,
+    /// Seeds of its runs, where they are not the figure's.
+    #[serde(default)]
+    seeds: Option<String>,
     /// By cases: what the dissertation says.
     #[serde(default)]
     pub(super) published: BTreeMap<String, String>,
@@ -163,7 +166,9 @@ impl Recipes {
             Failure::new(Exit::BadData, format!("{place}: {reason}"))
         })?;
         for figure in &recipes.figures {
-            figure.seeds(None).map_err(|failure| failure.within(place))?;
+            for (_, method) in figure.pairs() {
+                figure.seeds(method, None).map_err(|failure| failure.within(place))?;
+            }
         }
         Ok(recipes)
     }
@@ -191,17 +196,19 @@ impl Figure {
         self.cases.iter().flat_map(|case| self.methods.iter().map(move |method| (case, method)))
     }
 
-    /// Those that were asked for, else its own; none where nothing is learned.
-    pub(super) fn seeds(&self, asked: Option<SeedRange>) -> Result<Vec<u64>, Failure> {
-        let own = self.seeds.as_ref().map(|text| text.parse::<SeedRange>()).transpose();
-        let own = own.map_err(|reason| {
+    /// Seeds of a method's runs: those that were asked for, else its own, else the figure's.
+    pub(super) fn seeds(
+        &self,
+        method: &Method,
+        asked: Option<SeedRange>,
+    ) -> Result<Vec<u64>, Failure> {
+        let refused = |reason: String| {
             Failure::new(Exit::BadData, format!("figure `{}`: {reason}", self.name))
-        })?;
-        if self.has_runs() && own.is_none() {
-            let reason = format!("figure `{}` has methods and no seeds", self.name);
-            return Err(Failure::new(Exit::BadData, reason));
-        }
-        Ok(asked.or(own).map_or_else(Vec::new, |seeds| seeds.iter().collect()))
+        };
+        let own = method.seeds.as_ref().or(self.seeds.as_ref());
+        let own = own.map(|text| text.parse::<SeedRange>()).transpose().map_err(refused)?;
+        let none = || refused(format!("method `{}` has no seeds", method.name));
+        Ok(asked.or(own).ok_or_else(none)?.iter().collect())
     }
 
     /// What `sortie train` is told for a case, a method and a seed, but where to.
@@ -243,7 +250,6 @@ pub(super) struct Came<'a> {
     pub(super) figure: &'a str,
     pub(super) about: &'a str,
     pub(super) why: &'a str,
-    pub(super) seeds: &'a [u64],
     pub(super) rows: Vec<Row<'a>>,
     pub(super) solvers: Vec<Solver>,
     /// Processor time of all runs, their evaluations while learning included.
@@ -257,6 +263,7 @@ pub(super) struct Row<'a> {
     pub(super) method: &'a str,
     /// What `sortie train` was told.
     pub(super) command: String,
+    pub(super) seeds: Vec<u64>,
     pub(super) measures: Vec<Measured<'a>>,
     /// What the dissertation says.
     pub(super) published: Option<&'a str>,
@@ -326,25 +333,38 @@ fn missing(folder: &Path, key: &str) -> Failure {
     Failure::new(Exit::BadData, format!("{reason}: learn it again, or correct the recipe"))
 }
 
+impl Row<'_> {
+    /// `101 to 103`
+    fn seeds(&self) -> String {
+        match &self.seeds[..] {
+            [first, .., last] => format!("{first} to {last}"),
+            seeds => seeds.first().map(u64::to_string).unwrap_or_default(),
+        }
+    }
+}
+
 impl Came<'_> {
     /// A document: the table, what a reader must know, and the command of every row.
     pub(super) fn markdown(&self) -> String {
         let mut text = format!("# {}\n\n{}\n\n", self.figure, self.about);
         let names = self.rows.first().map_or(&[][..], |row| &row.measures[..]);
         let names: Vec<&str> = names.iter().map(|measure| measure.name).collect();
-        text += &format!("| case | method | {} | CPU s a run | published |\n", names.join(" | "));
-        text += &format!("{}|\n", "| --- ".repeat(names.len() + 4));
+        text += &format!(
+            "| case | method | seeds | {} | CPU s a run | published |\n",
+            names.join(" | ")
+        );
+        text += &format!("{}|\n", "| --- ".repeat(names.len() + 5));
         for row in &self.rows {
             let measures: Vec<String> = row.measures.iter().map(Measured::text).collect();
             let (seconds, published) = (row.cpu_s.mean, row.published.unwrap_or_default());
             let measures = measures.join(" | ");
-            let [case, method] = [row.case, row.method];
-            text += &format!("| {case} | {method} | {measures} | {seconds:.2} | {published} |\n");
+            let [case, method, seeds] = [row.case, row.method, &*row.seeds()];
+            text += &format!(
+                "| {case} | {method} | {seeds} | {measures} | {seconds:.2} | {published} |\n"
+            );
         }
-        let (first, last) = (self.seeds.first(), self.seeds.last());
-        let [first, last] = [first, last].map(|seed| seed.copied().unwrap_or_default());
         text += &format!(
-            "\nMean ± standard deviation over the seeds {first} to {last}, and their range in brackets; {:.0} seconds of processor time. {}\n\n",
+            "\nMean ± standard deviation over the seeds, and their range in brackets; {:.0} seconds of processor time. {}\n\n",
             self.cpu_s, self.why
         );
         if !self.solvers.is_empty() {
@@ -410,6 +430,20 @@ mod tests {
     }
 
     #[test]
+    fn a_method_may_have_seeds_of_its_own() {
+        let recipes = Recipes::from_text(OWN, "").unwrap();
+        let figure = recipes.find("figure-7.3").unwrap();
+        let seeds = |name: &str, asked| {
+            let method = figure.methods.iter().find(|method| method.name == name).unwrap();
+            figure.seeds(method, asked).unwrap()
+        };
+        assert_eq!(seeds("together", None), [101]);
+        assert_eq!(seeds("AQL, after-state critic", None), [201, 202, 203]);
+        let asked = Some(SeedRange { first: 7, last: 8 });
+        assert_eq!(seeds("AQL, after-state critic", asked), [7, 8]);
+    }
+
+    #[test]
     fn broken_recipes_are_refused_with_their_reason() {
         let figure = "[[figure]]\nname = \"f\"\nabout = \"\"\nstate = \"done\"\nwhy = \"\"\n";
         let runs = "cases = [{ name = \"c\", words = \"\" }]\nmethods = [{ name = \"m\", words = \"no-method\" }]\n";
@@ -417,8 +451,8 @@ mod tests {
         for (text, reason) in [
             (figure.replace("done", "soon"), "unknown variant"),
             (figure.to_owned() + "colour = 1\n", "unknown field"),
-            (figure.to_owned() + runs, "no seeds"),
-            (figure.to_owned() + "seeds = \"2..1\"\n", "no range"),
+            (figure.to_owned() + runs, "method `m` has no seeds"),
+            (figure.to_owned() + "seeds = \"2..1\"\n" + runs, "no range"),
         ] {
             let failure = Recipes::from_text(&text, "mine.toml").unwrap_err();
             assert!(failure.message.starts_with("mine.toml: "), "{}", failure.message);

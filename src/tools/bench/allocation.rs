@@ -4,10 +4,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 use sortie_bundle::{Bundle, OwnedAllocationState};
+use sortie_cli::allocation::Allocation;
 use sortie_cli::allocator::{LearnedAllocator, ProposalArguments, ProposalMemory, none_learned};
 use sortie_cli::deployment::open_bundle;
 use sortie_cli::environment::{ScenarioSetName, entry_of};
 use sortie_cli::failure::{Exit, Failure, Outcome};
+use sortie_cli::files::write_output;
 use sortie_cli::policy::{Backend, DeployedPolicy};
 use sortie_cli::tools::OnnxRuntimeArguments;
 use sortie_cli::worlds::{FrameRelation, relation};
@@ -26,20 +28,26 @@ const SIZE: (usize, usize) = (5, 6);
 const CALLS_PER_TURN: usize = 4;
 
 /// Allocations of a bundle's learned allocator, five agents to six subtasks: the values of all teams, then
-/// the best allocation; of an allocator that points, whole instances
+/// the best allocation; of an allocator that points, whole instances and single rounds
 ///
 /// onnxruntime computes the same values with the exported graph, a call for each team, and with a graph that
 /// takes all teams in one call. In processor time: peers take longer than the system's time slices.
 #[derive(Debug, Args)]
 pub(super) struct AllocationArguments {
-    /// Folder of the bundle
-    #[arg(default_value = "models/save-the-city")]
-    bundle: PathBuf,
+    /// Folders of bundles
+    #[arg(default_value = "models/save-the-city", value_name = "BUNDLE")]
+    bundles: Vec<PathBuf>,
+    /// Draw how whole instances of bundles whose allocators point grow with subtasks, as SVG
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+    /// Rule that plays the instances of an allocator that points [default: the allocator itself]
+    #[arg(long, value_enum, value_name = "RULE")]
+    pub(super) played_by: Option<Allocation>,
     /// Bundle with an allocator that proposes, which takes turns on the same states
     #[arg(long, value_name = "BUNDLE")]
     beside: Option<PathBuf>,
     #[command(flatten)]
-    proposals: ProposalArguments,
+    pub(super) proposals: ProposalArguments,
     #[command(flatten)]
     onnxruntime: OnnxRuntimeArguments,
     #[command(flatten)]
@@ -58,19 +66,40 @@ impl AllocationArguments {
 }
 
 pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failure> {
-    let bundle = open_bundle(&arguments.bundle)?;
-    if bundle.pointing_graphs().is_some() {
-        return pointing::measure(&bundle, arguments.proposals, &arguments.measuring);
+    let (mut figures, mut grown) = (Figures::default(), Vec::new());
+    for folder in &arguments.bundles {
+        let bundle = open_bundle(folder)?;
+        if bundle.pointing_graphs().is_some() {
+            grown.push(pointing::measure(&bundle, arguments, &mut figures)?);
+        } else {
+            measure_team_values(&bundle, arguments, &mut figures)?;
+        }
     }
-    let name = arguments.bundle.display().to_string();
+    if let Some(file) = &arguments.picture {
+        if grown.is_empty() {
+            let message = "`--picture` is for bundles whose allocators point";
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        write_output(file, pointing::drawn(&grown)?.as_bytes())?;
+    }
+    Ok(figures)
+}
+
+/// The values of all teams, then the best allocation.
+fn measure_team_values(
+    bundle: &Bundle,
+    arguments: &AllocationArguments,
+    figures: &mut Figures,
+) -> Outcome {
+    let name = bundle.folder().display().to_string();
     let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name))?;
     let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
-    let mut ours = LearnedAllocator::open(&bundle, Backend::Plan)?;
-    let mut tract = LearnedAllocator::open(&bundle, Backend::Tract)?;
+    let mut ours = LearnedAllocator::open(bundle, Backend::Plan)?;
+    let mut tract = LearnedAllocator::open(bundle, Backend::Tract)?;
     let mut single =
-        runtime.map(|runtime| LearnedAllocator::of_graph(&bundle, runtime)).transpose()?;
-    let mut batched = runtime.map(|runtime| Batched::new(&bundle, runtime, onnx)).transpose()?;
-    let states = states(&bundle, &mut ours, arguments.measuring.common.seed)?;
+        runtime.map(|runtime| LearnedAllocator::of_graph(bundle, runtime)).transpose()?;
+    let mut batched = runtime.map(|runtime| Batched::new(bundle, runtime, onnx)).transpose()?;
+    let states = states(bundle, &mut ours, arguments.measuring.common.seed)?;
     let mut proposing = arguments.proposing()?;
     let mut proposing = proposing.as_mut().map(ProposalMemory::allocator).transpose()?;
     let mut ours = ours.allocator()?;
@@ -99,11 +128,10 @@ pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failur
     }
     let seconds = arguments.measuring.seconds;
     let measured = alternate_long(&mut engines, CALLS_PER_TURN, seconds);
-    let mut figures = Figures::default();
     let (agents, tasks) = SIZE;
     let case = format!("{agents} agents, {tasks} subtasks");
     figures.add("allocation", &case, &engines, &measured);
-    Ok(figures)
+    Ok(())
 }
 
 fn decide(state: &AllocationState<'_>, allocator: &mut dyn Allocator) {

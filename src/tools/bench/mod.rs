@@ -41,6 +41,7 @@ const FLOOR: &str = "floor";
   sortie bench decision --pin 1
   sortie bench decision models/save-the-city --python venv/bin/python3 --pace hot
   sortie bench allocation --seconds 5
+  sortie bench allocation growth/10 growth/31x24 --picture growth.svg
   sortie bench policy walking.onnx --python venv/bin/python3
   sortie bench proposals --python venv/bin/python3
   sortie bench heads --seconds 30

@@ -6,41 +6,80 @@ use sortie_cli::allocator::{DeployedAllocator, ProposalArguments};
 use sortie_cli::environment::ScenarioSetName;
 use sortie_cli::failure::Failure;
 use sortie_cli::policy::{Backend, DeployedPolicy};
+use sortie_learn::report::chart::{Line, growth};
 
+use super::allocation::AllocationArguments;
 use super::rounds::{alternate_long, our_engine};
-use super::{Figures, Measuring, OURS, pin, scenes};
+use super::{Figures, OURS, pin, scenes};
 
 /// Instances before anybody else has a turn.
 const CALLS_PER_TURN: usize = 4;
 
-/// Times instances of as many subtasks as the bundle's episodes have at most.
+/// What instances of one size took, in microseconds at the median.
+pub(super) struct Grown {
+    agents: usize,
+    subtasks: usize,
+    instance_us: f64,
+    round_us: f64,
+}
+
+/// Times instances of as many subtasks as the bundle's episodes have at most, and each of their rounds.
 pub(super) fn measure(
     bundle: &Bundle,
-    proposals: ProposalArguments,
-    measuring: &Measuring,
-) -> Result<Figures, Failure> {
-    let choice = AllocatorChoice::Learned;
-    let mut ours = DeployedAllocator::open(bundle, choice, Backend::Plan, 0, proposals)?;
-    let instances = instances(bundle, &mut ours, measuring.common.seed)?;
+    AllocationArguments { proposals, played_by, measuring, .. }: &AllocationArguments,
+    figures: &mut Figures,
+) -> Result<Grown, Failure> {
+    let open =
+        |choice, proposals| DeployedAllocator::open(bundle, choice, Backend::Plan, 0, proposals);
+    let mut ours = open(AllocatorChoice::Learned, *proposals)?;
+    let rule =
+        played_by.map(|rule| open(AllocatorChoice::Rule(rule), ProposalArguments::default()));
+    let instances = match rule {
+        Some(rule) => instances(bundle, &mut rule?, measuring.common.seed)?,
+        None => instances(bundle, &mut ours, measuring.common.seed)?,
+    };
     let mut ours = ours.allocator()?;
     pin(measuring.pin)?;
-    let rounds: usize = instances.iter().map(Vec::len).sum();
-    let subtasks = instances.first().and_then(|rounds| rounds.first()).map_or(0, subtasks);
-    let mean = rounds as f64 / instances.len().max(1) as f64;
-    let play = |call: usize| {
-        for state in &instances[call % instances.len()] {
-            let mut allocation = vec![0; state.agents];
-            let decided = ours.allocate(&state.view(), &mut allocation);
-            decided.expect("states of episodes can be allocated");
-            std::hint::black_box(allocation);
-        }
+    let rounds: Vec<&OwnedAllocationState> = instances.iter().flatten().collect();
+    let (agents, subtasks) = rounds.first().map_or((0, 0), |state| (state.agents, subtasks(state)));
+    let mean = rounds.len() as f64 / instances.len().max(1) as f64;
+    let mut decide = |state: &OwnedAllocationState| {
+        let mut allocation = vec![0; state.agents];
+        let decided = ours.allocate(&state.view(), &mut allocation);
+        decided.expect("states of episodes can be allocated");
+        std::hint::black_box(allocation);
     };
-    let mut engines = vec![our_engine(OURS, play)];
-    let measured = alternate_long(&mut engines, CALLS_PER_TURN, measuring.seconds);
-    let mut figures = Figures::default();
-    let case = format!("an instance of {subtasks} subtasks, {mean:.1} rounds");
-    figures.add("allocation", &case, &engines, &measured);
-    Ok(figures)
+    let of_them = format!("{subtasks} subtasks, {agents} agents, {mean:.1} rounds");
+    let mut time = |case: String, play: &mut dyn FnMut(usize)| {
+        let mut engines = vec![our_engine(OURS, play)];
+        let measured = alternate_long(&mut engines, CALLS_PER_TURN, measuring.seconds / 2.0);
+        figures.add("allocation", &case, &engines, &measured);
+        measured.first().map_or(0.0, |measured| measured.latency.percentiles().p50)
+    };
+    let whole = &mut |call: usize| instances[call % instances.len()].iter().for_each(&mut decide);
+    let instance_us = time(format!("an instance of {of_them}"), whole);
+    let alone = &mut |call: usize| decide(rounds[call % rounds.len()]);
+    let round_us = time(format!("a round of {of_them}"), alone);
+    Ok(Grown { agents, subtasks, instance_us, round_us })
+}
+
+/// Instances and rounds by subtasks, a line for each number of agents.
+pub(super) fn drawn(grown: &[Grown]) -> Result<String, Failure> {
+    let mut teams: Vec<usize> = grown.iter().map(|grown| grown.agents).collect();
+    teams.sort_unstable();
+    teams.dedup();
+    let line = |what: &str, agents: usize, time: fn(&Grown) -> f64| {
+        let of_team = grown.iter().filter(|grown| grown.agents == agents);
+        let mut points: Vec<_> =
+            of_team.map(|grown| (grown.subtasks as f64, time(grown))).collect();
+        points.sort_by(|one, other| one.0.total_cmp(&other.0));
+        Line { label: format!("{what}, {agents} agents"), points }
+    };
+    let instances = teams.iter().map(|agents| line("an instance", *agents, |it| it.instance_us));
+    let rounds = teams.iter().map(|agents| line("a round", *agents, |it| it.round_us));
+    let lines: Vec<Line> = instances.chain(rounds).collect();
+    let axes = ["subtasks", "microseconds, the median"];
+    Ok(growth("Allocations by an allocator that points", axes, &lines)?)
 }
 
 /// The states of each of the largest instances, in their order.
@@ -69,4 +108,25 @@ fn instances(
 /// Subtasks that there are at the beginning.
 fn subtasks(state: &OwnedAllocationState) -> usize {
     state.open().count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn teams_have_their_lines_and_sizes_their_dots() {
+        let grown = [(4, 16), (8, 32), (4, 11)];
+        let grown = grown.map(|(agents, subtasks)| Grown {
+            agents,
+            subtasks,
+            instance_us: 300.0,
+            round_us: 50.0,
+        });
+        let svg = drawn(&grown).expect("a picture");
+        for label in ["an instance, 4 agents", "an instance, 8 agents", "a round, 8 agents"] {
+            assert_eq!(svg.matches(label).count(), 1, "{label}");
+        }
+        assert_eq!(svg.matches("<circle").count(), 6);
+    }
 }

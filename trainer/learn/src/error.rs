@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use sortie_core::AllocateError;
 use sortie_envs::{EnvironmentError, StepError};
 
 /// Why a run cannot be set up, continued or measured.
@@ -100,6 +101,9 @@ pub enum LearnError {
     /// The team that is measured could not decide.
     #[error("the team could not decide: {0}")]
     Team(String),
+    /// What allocates the team that is measured refused.
+    #[error("the team could not decide: {0}")]
+    Allocate(#[from] AllocateError),
 }
 
 fn at_line(line: Option<usize>) -> String {

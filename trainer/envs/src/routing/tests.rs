@@ -236,8 +236,10 @@ fn rules_give_the_same_from_a_state_and_from_its_rows() {
 #[test]
 fn tours_are_rebuilt_from_their_rows() {
     let mut random = generator(6);
-    for leaving in [TOGETHER, ONE_BY_ONE] {
-        let mut routing = opened(&format!("5-15{leaving}"), &[]);
+    // Shares of 47 come to a little less than whole numbers.
+    for (leaving, capacity) in [(TOGETHER, 25), (ONE_BY_ONE, 47)] {
+        let capacity = [("capacity", Setting::Whole(capacity))];
+        let mut routing = opened(&format!("5-15{leaving}"), &capacity);
         let mut other = routing.open(1, Split::Test);
         routing.reset(0, &mut random);
         let mut rounds = 0;
@@ -257,6 +259,12 @@ fn tours_are_rebuilt_from_their_rows() {
                     open_tasks,
                     available: &available,
                 };
+                // Others than this environment's, and what no tour comes to: a vehicle is laden beyond what it holds.
+                let mut laden = rows.clone();
+                laden[observation::LOAD] = 1.5;
+                assert_eq!(routing.rebuilt(&Frame { agents: 3, ..frame }), None);
+                assert_eq!(routing.rebuilt(&Frame { tasks: 15, ..frame }), None);
+                assert_eq!(routing.rebuilt(&Frame { rows: &laden, ..frame }), None);
                 routing.rebuilt(&frame)
             };
             let shown = rebuilt(&state, 0).unwrap();

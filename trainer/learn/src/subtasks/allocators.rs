@@ -57,7 +57,7 @@ impl Allocate for DeployedAllocator<'_> {
         let state = allocation_state_after(environment, state, allocation);
         allocation.fill(UNASSIGNED);
         let team = &mut allocation[..state.agents];
-        self.0.allocate(&state.view(), team).map_err(|error| LearnError::Team(error.to_string()))
+        Ok(self.0.allocate(&state.view(), team)?)
     }
 }
 

@@ -5,6 +5,7 @@
 
 mod bars;
 mod curves;
+mod growth;
 
 use std::io;
 
@@ -15,6 +16,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 pub use bars::{Bar, Bars, draw_bars, ends, teams};
 pub use curves::curves;
+pub use growth::{Line, growth};
 
 use crate::error::LearnError;
 

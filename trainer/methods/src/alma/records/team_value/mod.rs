@@ -102,7 +102,7 @@ impl TeamSearch {
         };
         allocation.fill(UNASSIGNED);
         acting.iter().zip(own).for_each(|(agent, own)| allocation[*agent] = own);
-        found.map_err(|error| LearnError::Team(error.to_string()))
+        Ok(found?)
     }
 }
 
