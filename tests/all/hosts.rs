@@ -148,7 +148,7 @@ fn agents_on_another_host_act_through_cuts_and_restarts() {
 fn leader(domain: &TestDomain) -> Option<(u64, u64)> {
     let told = json(&["control", "info", "--domain", &domain.id, "--json"]);
     let mut processes = told["processes"].as_array().expect("a list").iter();
-    let leader = processes.find(|one| one["leads"] == true)?;
+    let leader = processes.find(|one| one["role"] == "allocator" && one["leads"] == true)?;
     Some((leader["pid"].as_u64()?, leader["term"].as_u64()?))
 }
 
