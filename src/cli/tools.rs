@@ -123,7 +123,7 @@ pub(crate) fn prefer_tools() -> Outcome {
 fn become_tools() -> Failure {
     // That one would go on as this one, where it comes to the line.
     if running().is_some_and(|program| program.zenoh.is_some()) {
-        let message = "a line through zenoh and ONNX graphs are in different programs: leave out `--backend tract`, or join over UDP";
+        let message = "zenoh and what runs ONNX graphs are in different programs: leave out `--backend tract`, or go without zenoh";
         return Failure::new(Exit::Usage, message);
     }
     if let Err(failure) = check_program() {

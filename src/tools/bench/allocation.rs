@@ -17,7 +17,7 @@ use sortie_core::allocate::{TaskRelation, TeamQuery, Teams, exact};
 use sortie_core::{AllocateError, AllocationState, Allocator};
 use sortie_plans::{BatchedValues, OnnxRuntimeEngine};
 
-use super::pointing;
+use super::pointing::{self, Playing};
 use super::rounds::{alternate_long, engine, our_engine};
 use super::scenes::{self, some};
 use super::{Figures, Measuring, OURS, TRACT_VERSION, pin};
@@ -42,12 +42,12 @@ pub(super) struct AllocationArguments {
     picture: Option<PathBuf>,
     /// Rule that plays the instances of an allocator that points [default: the allocator itself]
     #[arg(long, value_enum, value_name = "RULE")]
-    pub(super) played_by: Option<Allocation>,
+    played_by: Option<Allocation>,
     /// Bundle with an allocator that proposes, which takes turns on the same states
     #[arg(long, value_name = "BUNDLE")]
     beside: Option<PathBuf>,
     #[command(flatten)]
-    pub(super) proposals: ProposalArguments,
+    proposals: ProposalArguments,
     #[command(flatten)]
     onnxruntime: OnnxRuntimeArguments,
     #[command(flatten)]
@@ -55,6 +55,11 @@ pub(super) struct AllocationArguments {
 }
 
 impl AllocationArguments {
+    fn playing(&self) -> Playing<'_> {
+        let Self { proposals, played_by, measuring, .. } = self;
+        Playing { proposals: *proposals, played_by: *played_by, measuring }
+    }
+
     /// The allocator that proposes, if one was named.
     fn proposing(&self) -> Result<Option<ProposalMemory>, Failure> {
         let Some(folder) = &self.beside else { return Ok(None) };
@@ -70,7 +75,7 @@ pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failur
     for folder in &arguments.bundles {
         let bundle = open_bundle(folder)?;
         if bundle.pointing_graphs().is_some() {
-            grown.push(pointing::measure(&bundle, arguments, &mut figures)?);
+            grown.push(pointing::measure(&bundle, arguments.playing(), &mut figures)?);
         } else {
             measure_team_values(&bundle, arguments, &mut figures)?;
         }

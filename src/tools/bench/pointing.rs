@@ -1,19 +1,27 @@
 //! Whole instances by an allocator that points: the encoder once, then a round of decisions after the other.
 
 use sortie_bundle::{Bundle, OwnedAllocationState};
-use sortie_cli::allocation::AllocatorChoice;
+use sortie_cli::allocation::{Allocation, AllocatorChoice};
 use sortie_cli::allocator::{DeployedAllocator, ProposalArguments};
 use sortie_cli::environment::ScenarioSetName;
 use sortie_cli::failure::Failure;
 use sortie_cli::policy::{Backend, DeployedPolicy};
 use sortie_learn::report::chart::{Line, growth};
 
-use super::allocation::AllocationArguments;
 use super::rounds::{alternate_long, our_engine};
-use super::{Figures, OURS, pin, scenes};
+use super::{Figures, Measuring, OURS, pin, scenes};
 
 /// Instances before anybody else has a turn.
 const CALLS_PER_TURN: usize = 4;
+
+/// How instances are played.
+#[derive(Clone, Copy)]
+pub(super) struct Playing<'a> {
+    pub(super) proposals: ProposalArguments,
+    /// The rule that plays them, unless the allocator itself does.
+    pub(super) played_by: Option<Allocation>,
+    pub(super) measuring: &'a Measuring,
+}
 
 /// What instances of one size took, in microseconds at the median.
 pub(super) struct Grown {
@@ -26,12 +34,12 @@ pub(super) struct Grown {
 /// Times instances of as many subtasks as the bundle's episodes have at most, and each of their rounds.
 pub(super) fn measure(
     bundle: &Bundle,
-    AllocationArguments { proposals, played_by, measuring, .. }: &AllocationArguments,
+    Playing { proposals, played_by, measuring }: Playing<'_>,
     figures: &mut Figures,
 ) -> Result<Grown, Failure> {
     let open =
         |choice, proposals| DeployedAllocator::open(bundle, choice, Backend::Plan, 0, proposals);
-    let mut ours = open(AllocatorChoice::Learned, *proposals)?;
+    let mut ours = open(AllocatorChoice::Learned, proposals)?;
     let rule =
         played_by.map(|rule| open(AllocatorChoice::Rule(rule), ProposalArguments::default()));
     let instances = match rule {
