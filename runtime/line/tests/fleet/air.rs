@@ -51,11 +51,17 @@ struct State {
     operations_left: BTreeMap<u32, u32>,
     /// When each runner heard something.
     heard_ns: BTreeMap<u32, u64>,
+    /// What is said at home reaches all runners of the line.
+    is_told_to_all: bool,
+    /// The runners of each line.
+    runners: BTreeMap<usize, Vec<u32>>,
 }
 
 impl Air {
-    pub(crate) fn new(random: Random) -> Arc<Self> {
+    pub(crate) fn new(random: Random, is_told_to_all: bool) -> Arc<Self> {
         Arc::new(Self(Mutex::new(State {
+            is_told_to_all,
+            runners: BTreeMap::new(),
             now_ns: 0,
             random,
             losses: Losses::default(),
@@ -196,18 +202,31 @@ impl SimulatedCarrier {
 
     /// A runner's, on a host with a clock of its own.
     pub(crate) fn away(air: Arc<Air>, line: usize, pid: u32, drift: u64) -> Arc<Self> {
+        let mut state = air.state();
+        let runners = state.runners.entry(line).or_default();
+        if !runners.contains(&pid) {
+            runners.push(pid);
+        }
+        drop(state);
         Arc::new(Self { air, line, pid, is_home: false, began: Instant::now(), drift })
     }
 }
 
 impl Carrier for SimulatedCarrier {
     fn send(&self, datagram: &[u8], to: Option<SocketAddr>) {
+        let mut state = self.air.state();
         let to = match (self.is_home, to) {
+            (true, Some(_)) if state.is_told_to_all => {
+                for runner in state.runners.get(&self.line).cloned().unwrap_or_default() {
+                    state.send(self.line, self.pid, End::Away(runner), datagram);
+                }
+                return;
+            }
             (true, Some(to)) => End::Away(to.port().into()),
             (true, None) => return,
             (false, _) => End::Home(self.line),
         };
-        self.air.state().send(self.line, self.pid, to, datagram);
+        state.send(self.line, self.pid, to, datagram);
     }
 
     fn receive(&self, room: &mut [u8]) -> Option<(usize, Option<SocketAddr>)> {

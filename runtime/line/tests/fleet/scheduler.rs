@@ -34,6 +34,7 @@ enum Seat {
     /// Where that one is on another host: who stands in for it.
     Runner(usize),
     Away(usize),
+    Rival(usize),
     Allocator(usize),
 }
 
@@ -99,7 +100,7 @@ impl Fleet {
         let network = Network::new(Random::new(random.next()), setup.weather, oracle);
         let mut fleet = Self {
             network: Rc::new(RefCell::new(network)),
-            air: Air::new(Random::new(setup.seed ^ 0xa1)),
+            air: Air::new(Random::new(setup.seed ^ 0xa1), setup.has_rivals),
             random,
             events: BTreeMap::new(),
             planned: 0,
@@ -117,7 +118,10 @@ impl Fleet {
         let runners = (0..fleet.setup.runners.len()).map(Seat::Runner);
         let seats = runners.chain((0..fleet.setup.allocators).map(Seat::Allocator));
         let away = (0..fleet.setup.away.len()).filter(|line| fleet.setup.away[*line]);
-        let seats = seats.chain(away.map(Seat::Away).collect::<Vec<_>>());
+        let away: Vec<usize> = away.collect();
+        let rivals = away.iter().copied().filter(|_| fleet.setup.has_rivals).map(Seat::Rival);
+        let rivals: Vec<Seat> = rivals.collect();
+        let seats = seats.chain(away.into_iter().map(Seat::Away)).chain(rivals);
         for seat in seats.chain([Seat::World]).collect::<Vec<_>>() {
             let after = fleet.random.below(20 * MILLISECOND);
             fleet.plan(after, Event::Start(seat));
@@ -296,7 +300,7 @@ impl Fleet {
                 let stand_in = StandIn::open(&self.setup, (air, line, pid), wake);
                 (Role::Runner, Body::StandIn(Box::new(stand_in)))
             }
-            Seat::Away(line) => {
+            Seat::Away(line) | Seat::Rival(line) => {
                 let (network, air) = (self.network.clone(), Arc::clone(&self.air));
                 // Up to 400 millionths, which is more than a bad quartz.
                 let drift = self.random.below(400);
@@ -317,7 +321,7 @@ impl Fleet {
         let bytes = self.setup.format.layout.payload_bytes();
         let network = self.network.clone();
         let link = match seat {
-            Seat::Away(_) => SimulatedLink::none(network, pid),
+            Seat::Away(_) | Seat::Rival(_) => SimulatedLink::none(network, pid),
             _ => SimulatedLink::open(network, pid, role, bytes),
         };
         let mut process = Process::new(pid, body, link, &self.setup);
@@ -569,7 +573,10 @@ impl Fleet {
     }
 
     fn check_end(&mut self) {
-        let left: Vec<u32> = self.processes.keys().copied().collect();
+        // A rival that never acted hears no last words; a person ends it.
+        let may_stay = |one: &Process| self.setup.has_rivals && matches!(one.body, Body::Away(_));
+        let left = self.processes.values().filter(|one| !may_stay(one));
+        let left: Vec<u32> = left.map(|one| one.pid).collect();
         if !left.is_empty() && self.setup.weather != Weather::Hostile {
             self.violate(Invariant::Ends, format!("processes {left:?} go on without a world"));
         }

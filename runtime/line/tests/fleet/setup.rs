@@ -42,6 +42,8 @@ pub(crate) struct Setup {
     pub(crate) planted: Option<Planted>,
     /// Which runners are on other hosts.
     pub(crate) away: Vec<bool>,
+    /// Two processes offer themselves for each of them, and all that is said at home reaches both, as through a router.
+    pub(crate) has_rivals: bool,
 }
 
 impl Setup {
@@ -63,6 +65,7 @@ impl Setup {
         // Lines have a checksum that nobody forges: what is hostile is at home.
         let has_hosts = weather != Weather::Hostile && random.chance(400);
         let mut away: Vec<bool> = (0..runners).map(|_| has_hosts && random.chance(600)).collect();
+        let has_rivals = has_hosts && random.chance(500);
         let is_planted = planted.is_some_and(Planted::is_of_hosts);
         let weather = if is_planted { Weather::Shared } else { weather };
         if is_planted {
@@ -89,6 +92,7 @@ impl Setup {
             storms: 2,
             planted,
             away,
+            has_rivals,
         }
     }
 
