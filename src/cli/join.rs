@@ -26,7 +26,6 @@ use crate::trust::TrustArguments;
 const PATIENCE: Duration = Duration::from_secs(10);
 const CUT_OFF: &str = "warning: cut off: nothing is heard of the team, and nothing is done";
 const HEARD: &str = "the team is heard again";
-const JOINING_ANEW: &str = "the team's end of the line is another one: joining anew";
 /// The share of a period that a round trip may take: the rest is for deciding.
 const SHARE_OF_PERIOD: f64 = 0.8;
 /// The same of an allocator, which has to answer while its agents have time left.
@@ -104,14 +103,28 @@ pub(crate) fn run(arguments: &JoinArguments) -> Outcome {
         model: model_id(&bundle),
         agents: seats(agents)?,
     };
+    let mut play = |taken: Taken| act(&bundle, policy.team()?.as_mut(), &taken, offer, &stop);
+    join(arguments, &settings, offer, &stop, &mut play)
+}
+
+/// Joins, and anew for as long as another end of the team is there.
+fn join(
+    arguments: &JoinArguments,
+    settings: &LineSettings,
+    offer: Offer,
+    stop: &Stop,
+    play: &mut dyn FnMut(Taken) -> Result<End, Failure>,
+) -> Outcome {
     let mut patience = PATIENCE;
     loop {
-        let taken = connect(arguments, settings.clone(), offer, patience, &stop)?;
+        let taken = connect(arguments, settings.clone(), offer, patience, stop)?;
         // Who was there once may come again.
         patience = Duration::MAX;
-        match act(&bundle, policy.team()?.as_mut(), &taken, offer, &stop)? {
+        match play(taken)? {
             End::Over => return Ok(()),
-            End::Replaced => tell!("{JOINING_ANEW}"),
+            End::Replaced => {
+                tell!("the team's end of the line is another one: joining anew");
+            }
             End::Interrupted => return Err(Failure::new(Exit::Interrupted, "interrupted")),
         }
     }
@@ -164,16 +177,8 @@ fn allocate(
     let draws = Some(proposals.draws(seed));
     let contract = DomainContract { draws, ..domain_contract(bundle, Some(choice)) };
     let offer = allocator_offer(&contract, model_id(bundle));
-    let mut patience = PATIENCE;
-    loop {
-        let taken = connect(arguments, settings.clone(), offer, patience, stop)?;
-        patience = Duration::MAX;
-        match answer(memory.allocator()?.as_mut(), taken.line, stop) {
-            End::Over => return Ok(()),
-            End::Replaced => tell!("{JOINING_ANEW}"),
-            End::Interrupted => return Err(Failure::new(Exit::Interrupted, "interrupted")),
-        }
-    }
+    let mut play = |taken: Taken| Ok(answer(memory.allocator()?.as_mut(), taken.line, stop));
+    join(arguments, settings, offer, stop, &mut play)
 }
 
 fn answer(allocator: &mut dyn Allocator, line: Away, stop: &Stop) -> End {

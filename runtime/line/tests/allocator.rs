@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -44,13 +45,17 @@ struct Elsewhere {
 
 impl Elsewhere {
     fn join(settings: LineSettings) -> Self {
+        Self::join_with(settings, ByFeature)
+    }
+
+    fn join_with(settings: LineSettings, mut allocator: impl Allocator + Send + 'static) -> Self {
         let is_stopped = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&is_stopped);
         let run = move || {
             let taken = Away::connect(settings, OFFER, LONG, &|| false).unwrap();
             let mut far = FarAllocator::new(taken.line);
             while !stopped.load(Ordering::Relaxed) {
-                match far.poll(&mut ByFeature) {
+                match far.poll(&mut allocator) {
                     FarPoll::Wait { until_ns } => far.wait(until_ns),
                     FarPoll::Again | FarPoll::CutOff | FarPoll::Heard => {}
                     ended => return ended,
@@ -118,6 +123,37 @@ fn it_allocates_as_it_would_here() {
     assert!(home.tend(), "who refuses is there");
     home.end();
     assert_eq!(elsewhere.thread.join().unwrap(), FarPoll::Ended);
+}
+
+/// Answers once it may.
+struct Held(Receiver<()>);
+
+impl Allocator for Held {
+    fn allocate(
+        &mut self,
+        state: &AllocationState<'_>,
+        allocation: &mut [u8],
+    ) -> Result<(), AllocateError> {
+        self.0.recv().map_err(|_| AllocateError::TooLarge)?;
+        ByFeature.allocate(state, allocation)
+    }
+}
+
+#[test]
+fn a_late_answer_is_none_to_the_next_question() {
+    let (home, settings) = home(Duration::from_secs(1));
+    let (release, may) = channel();
+    let elsewhere = Elsewhere::join_with(settings, Held(may));
+    wait_for("nobody comes", || home.tend());
+    let (first, mut second) = ([0.0; 10], [0.0; 10]);
+    second[0] = 1.0;
+    assert_ne!(ask(ByFeature, &first), ask(ByFeature, &second));
+    assert!(ask(&home, &first).is_err());
+    // Both are answered now, one behind the other.
+    release.send(()).unwrap();
+    release.send(()).unwrap();
+    assert_eq!(ask(&home, &second), ask(ByFeature, &second));
+    elsewhere.die();
 }
 
 #[test]

@@ -9,6 +9,7 @@ use sortie_ipc::{
     AllocatorProcess, Domain, DomainContract, ProcessSettings, RunnerProcess, Stop,
     stand_in_allocator_process, stand_in_process,
 };
+use sortie_line::LineSettings;
 
 use super::registry::{allocators, policies};
 use super::team::Scheduling;
@@ -136,22 +137,24 @@ pub(crate) fn run(arguments: &ProcessArguments) -> Outcome {
             play(&world, &arguments.playing, &domain, &stop)
         }
         Role::StandIn => {
-            let ProcessArguments { agents, listen: place, domain: name, .. } = arguments;
-            let end = LineEnd { is_home: true, place, domain: name, agents };
-            let line = arguments.line.settings(&end)?;
+            let (agents, line) = (&arguments.agents, home_line(arguments)?);
             outcome(stand_in_process(&domain, &contract, agents, line, &settings, &stop))
         }
         Role::Runner => act(arguments, (&bundle, &contract), &domain, &settings, &stop),
         Role::Allocator if arguments.away => {
-            let ProcessArguments { listen: place, domain: name, .. } = arguments;
-            let end = LineEnd { is_home: true, place, domain: name, agents: &[] };
-            let line = arguments.line.settings(&end)?;
+            let line = home_line(arguments)?;
             outcome(stand_in_allocator_process(&domain, &contract, line, &settings, &stop))
         }
         Role::Allocator => {
             allocate(arguments, allocation, (&bundle, &contract), &domain, &settings, &stop)
         }
     }
+}
+
+/// The team's end of the line to another host; of an allocator there it has no agents.
+fn home_line(arguments: &ProcessArguments) -> Result<LineSettings, Failure> {
+    let ProcessArguments { agents, listen: place, domain, line, .. } = arguments;
+    line.settings(&LineEnd { is_home: true, place, domain, agents })
 }
 
 /// A runner: with the bundle that it was started with, then with those that its team changes to.

@@ -212,21 +212,22 @@ fn check_away(arguments: &UpArguments, agents: usize) -> Outcome {
 
 /// Who stands for the runner on another host.
 fn stand_in(arguments: &UpArguments, team: &Team<'_>) -> Charge {
-    let UpArguments { away, listen, line, scheduling, .. } = arguments;
-    let mut charge = team.stand_in(away);
-    charge.command.arg("--listen").arg(listen.to_string());
-    line.put(&mut charge.command);
-    charge.command.args(scheduling.flags(None));
-    charge
+    at_home(arguments, team.stand_in(&arguments.away), &arguments.listen)
 }
 
 /// Who stands in for the allocator on another host; none for a team that knows of no subtasks.
 fn stand_in_allocator(arguments: &UpArguments, team: &Team<'_>, place: &Place) -> Option<Charge> {
     let mut charge = team.allocator("the stand-in of an allocator".to_owned())?;
-    charge.command.arg("--away").arg("--listen").arg(place.to_string());
+    charge.command.arg("--away");
+    Some(at_home(arguments, charge, place))
+}
+
+/// With what the team's end of a line is told.
+fn at_home(arguments: &UpArguments, mut charge: Charge, place: &Place) -> Charge {
+    charge.command.arg("--listen").arg(place.to_string());
     arguments.line.put(&mut charge.command);
     charge.command.args(arguments.scheduling.flags(None));
-    Some(charge)
+    charge
 }
 
 /// The world, which prints the report.
