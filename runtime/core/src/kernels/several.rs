@@ -129,6 +129,12 @@ pub(super) fn multiply_plainly(
 ) {
     let rows = vectors.chunks_exact(inner.max(1)).zip(products.chunks_exact_mut(columns.max(1)));
     for (vector, sums) in rows {
+        if columns < NARROW {
+            sums.iter_mut().enumerate().for_each(|(column, sum)| {
+                *sum = column_product(vector, matrix, [column, columns]);
+            });
+            continue;
+        }
         sums.fill(0.0);
         for (input, row) in vector.iter().zip(matrix.chunks_exact(columns.max(1))) {
             for (sum, weight) in sums.iter_mut().zip(row) {
@@ -136,6 +142,21 @@ pub(super) fn multiply_plainly(
             }
         }
     }
+}
+
+/// Columns of a matrix that is narrow: a row of its sums is no vector, and each of them is kept in a register.
+const NARROW: usize = 8;
+
+/// A vector times one column of a matrix of so many.
+#[inline(always)]
+fn column_product(vector: &[f32], matrix: &[f32], [column, columns]: [usize; 2]) -> f32 {
+    let mut weights = matrix.get(column..).unwrap_or(&[]).iter().step_by(columns.max(1));
+    let mut sum = 0.0;
+    // Not zipped: how many weights there are would be divided for.
+    for input in vector {
+        sum += input * weights.next().unwrap_or(&0.0);
+    }
+    sum
 }
 
 /// As [`products`] for inputs of which about half or more are zero, which are left out: one vector after the other,

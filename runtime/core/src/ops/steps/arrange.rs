@@ -10,6 +10,9 @@ use crate::policy::{DecideError, Observation};
 /// Most dimensions of a copy.
 pub(super) const DIMENSIONS: usize = 4;
 
+/// Numbers of a row that is short.
+const SHORT: usize = 8;
+
 /// Copies the numbers of a grid: the one at indices i stands `i · from_strides` behind the source's start, and goes
 /// `i · to_strides` behind the result's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, TryFromBytes, IntoBytes, Immutable, KnownLayout)]
@@ -56,9 +59,17 @@ impl Operator for Arrange {
     ) -> Result<(), DecideError> {
         let (sources, to) = apart(scratch.floats, &self.to)?;
         let from = sources.get(&self.from)?;
-        let [planes, blocks, rows, columns] = self.sizes.map(|size| size as usize);
-        let from_strides = self.from_strides.map(|stride| stride as usize);
-        let to_strides = self.to_strides.map(|stride| stride as usize);
+        let mut sizes = self.sizes.map(|size| size as usize);
+        let mut from_strides = self.from_strides.map(|stride| stride as usize);
+        let mut to_strides = self.to_strides.map(|stride| stride as usize);
+        // The longer of the last two inside: a row of three numbers takes longer to begin than to copy.
+        let [.., rows, columns] = sizes;
+        if columns < SHORT && columns < rows {
+            for along in [&mut sizes, &mut from_strides, &mut to_strides] {
+                along.swap(2, 3);
+            }
+        }
+        let [planes, blocks, rows, columns] = sizes;
         for plane in 0..planes {
             for block in 0..blocks {
                 for row in 0..rows {
@@ -103,15 +114,15 @@ fn copy_row(
         // Both are as long, which no compiler sees of a copy of slices.
         (1, 1) => to.iter_mut().zip(from).for_each(|(to, from)| *to = *from),
         (0, 1) => to.fill(from.first().copied().unwrap_or_default()),
-        (0, _) | (_, 0) => {
-            for index in 0..count {
-                let from = from.get(index * from_stride).ok_or(DecideError::BadLength)?;
-                *to.get_mut(index * to_stride).ok_or(DecideError::BadLength)? = *from;
-            }
-        }
         _ => {
-            let places = to.iter_mut().step_by(to_stride);
-            places.zip(from.iter().step_by(from_stride)).for_each(|(to, from)| *to = *from);
+            // Not two iterators that leave out what is between: how much they have left is divided for.
+            let (mut from_index, mut to_index) = (0, 0);
+            for _ in 0..count {
+                let from = from.get(from_index).ok_or(DecideError::BadLength)?;
+                *to.get_mut(to_index).ok_or(DecideError::BadLength)? = *from;
+                from_index += from_stride;
+                to_index += to_stride;
+            }
         }
     }
     Ok(())

@@ -119,7 +119,7 @@ impl Operator for Map {
             Function::Clip => each(values, |x| clip(x, a, b)),
             Function::Exp => each(values, math::exp),
             Function::Ln => each(values, math::ln_of_any),
-            Function::Sqrt => each(values, libm::sqrtf),
+            Function::Sqrt => each(values, math::square_root),
             Function::Absolute => each(values, f32::abs),
             Function::Reciprocal => each(values, |x| 1.0 / x),
             Function::Not => each(values, |x| if x == 0.0 { 1.0 } else { 0.0 }),

@@ -5,6 +5,7 @@ use zerocopy::{Immutable, IntoBytes, KnownLayout, TryFromBytes};
 use super::super::operator::Operator;
 use super::super::{Flag, Place, Places, Scratch, Sizes, copied, slice};
 use crate::kernels::{Kernels, dot};
+use crate::math::square_root;
 use crate::policy::{DecideError, Observation};
 
 /// Brings every row to mean 0 and variance 1, or only its squares to mean 1; then multiplies its columns with factors and
@@ -65,7 +66,7 @@ impl Operator for Normalise {
                 row.iter_mut().for_each(|value| *value -= mean);
             }
             let variance = dot::sum_of_squares(row) / columns as f32;
-            let scale = 1.0 / libm::sqrtf(variance + f32::from_bits(self.epsilon));
+            let scale = 1.0 / square_root(variance + f32::from_bits(self.epsilon));
             for ((value, factor), offset) in row.iter_mut().zip(factors).zip(offsets) {
                 *value = *value * scale * factor + offset;
             }

@@ -53,12 +53,19 @@ impl Operator for Select {
         let (sources, to) = apart(scratch.floats, &self.to)?;
         let condition = sources.get(&self.condition)?;
         let (yes, no) = (sources.get(&self.yes)?, sources.get(&self.no)?);
-        let of = |values: &[f32], index: usize| {
-            let only = if values.len() == 1 { 0 } else { index };
-            values.get(only).copied().ok_or(DecideError::BadLength)
-        };
-        for (index, (to, condition)) in to.iter_mut().zip(condition).enumerate() {
-            *to = of(if *condition == 0.0 { no } else { yes }, index)?;
+        // Both are told apart once and not for every number, of which several are then worked on at once.
+        match yes {
+            [one] => to.fill(*one),
+            yes => to.iter_mut().zip(yes).for_each(|(to, yes)| *to = *yes),
+        }
+        let to = to.iter_mut().zip(condition);
+        match no {
+            [one] => {
+                to.for_each(|(to, condition)| *to = if *condition == 0.0 { *one } else { *to })
+            }
+            no => to
+                .zip(no)
+                .for_each(|((to, condition), no)| *to = if *condition == 0.0 { *no } else { *to }),
         }
         Ok(())
     }
