@@ -137,8 +137,15 @@ pub struct AllocatorAtHome {
     patience: Duration,
     asked: Cell<u32>,
     said: Cell<Option<Instant>>,
-    /// Since when it owes an answer.
-    owes: Cell<Option<Instant>>,
+    missed: Cell<Option<Missed>>,
+}
+
+/// An answer that did not come in time.
+#[derive(Clone, Copy)]
+struct Missed {
+    at: Instant,
+    /// Whoever leads the allocators has been told.
+    is_told: bool,
 }
 
 #[derive(Default)]
@@ -166,8 +173,8 @@ impl AllocatorAtHome {
             wake();
         })?;
         let port = RefCell::new(home.port());
-        let (inbox, asked, said, owes) = Default::default();
-        Ok(Self { home, port, inbox, came, patience, asked, said, owes })
+        let (inbox, asked, said, missed) = Default::default();
+        Ok(Self { home, port, inbox, came, patience, asked, said, missed })
     }
 
     /// Says that the team is there, where that is due. Returns whether the allocator is: it was heard lately, and not asked in vain
@@ -178,12 +185,15 @@ impl AllocatorAtHome {
         }
         self.read();
         let silence = self.home.silence();
-        // An answer that is late is an answer: from then on it may be asked again.
-        let is_mute = self
-            .owes
-            .get()
-            .is_some_and(|since| silence.is_none_or(|silence| silence >= since.elapsed()));
-        silence.is_some_and(|silence| silence < SILENCE) && !is_mute
+        silence.is_some_and(|silence| silence < SILENCE) && !self.is_mute(silence)
+    }
+
+    /// Whether it was asked in vain and has said nothing since. That is told at least once: where the question or its answer was
+    /// lost, it may have been heard in the same moment.
+    fn is_mute(&self, silence: Option<Duration>) -> bool {
+        let Some(missed) = self.missed.get() else { return false };
+        self.missed.set(Some(Missed { is_told: true, ..missed }));
+        !missed.is_told || silence.is_none_or(|silence| silence >= missed.at.elapsed())
     }
 
     /// The last words: the world has ended.
@@ -222,32 +232,31 @@ impl AllocatorAtHome {
 }
 
 impl Allocator for &AllocatorAtHome {
-    /// Asks, and waits. Without an answer in time it refuses: [`AllocatorAtHome::tend`] then says that the allocator is not there.
+    /// Asks, and waits. Without an answer in time, or where the other end refuses, it refuses: [`AllocatorAtHome::tend`] then says
+    /// that the allocator is not there, so that others are asked, and say why if they refuse too.
     fn allocate(
         &mut self,
         state: &AllocationState<'_>,
         allocation: &mut [u8],
     ) -> Result<(), AllocateError> {
-        let began = Instant::now();
+        let until = Instant::now() + self.patience;
         self.asked.set(self.asked.get().wrapping_add(1));
         self.say(&Asked::State(self.asked.get(), State::of(state)));
         loop {
+            let left = until.saturating_duration_since(Instant::now());
             match self.read() {
                 Some(Some(answer)) if answer.len() == allocation.len() => {
                     allocation.copy_from_slice(&answer);
-                    self.owes.set(None);
+                    self.missed.set(None);
                     return Ok(());
                 }
-                Some(_) => return Err(AllocateError::BadLength),
-                None => {}
+                None if !left.is_zero() => self.wait(left),
+                _ => {
+                    self.missed.set(Some(Missed { at: Instant::now(), is_told: false }));
+                    // No error of allocators says that there was no answer.
+                    return Err(AllocateError::BadLength);
+                }
             }
-            let left = self.patience.saturating_sub(began.elapsed());
-            if left.is_zero() {
-                self.owes.set(Some(began));
-                // No error of allocators says that there was none.
-                return Err(AllocateError::BadLength);
-            }
-            self.wait(left);
         }
     }
 }

@@ -1,6 +1,7 @@
 //! An allocator on another host, over a socket of this machine.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
@@ -9,12 +10,14 @@ use std::time::{Duration, Instant};
 
 use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask, Shape, UNASSIGNED};
 use sortie_line::{
-    AllocatorAtHome, Away, FarAllocator, FarPoll, Key, LineSettings, Offer, Team, Udp,
+    AllocatorAtHome, Away, Carrier, FarAllocator, FarPoll, Key, LineSettings, Offer, Team, Udp,
 };
 
 const OFFER: Offer = Offer { abi: 3, contract: 7, model: [1; 16], agents: 0 };
 const SHAPE: Shape = Shape { agents: 3, entities: 5, tasks: 2, actions: 4, features: 2 };
 const LONG: Duration = Duration::from_secs(20);
+/// Bytes of a datagram with a question, and of none that says only who is there.
+const QUESTION: usize = 80;
 
 /// Gives agents subtasks by their first feature; refuses a state whose last feature is negative.
 struct ByFeature;
@@ -72,9 +75,40 @@ impl Elsewhere {
     }
 }
 
+/// A socket that loses questions, as long as that is wanted: what is long.
+struct Losing {
+    socket: Udp,
+    loses: Arc<AtomicBool>,
+}
+
+impl Carrier for Losing {
+    fn send(&self, datagram: &[u8], to: Option<SocketAddr>) {
+        if datagram.len() < QUESTION || !self.loses.load(Ordering::Relaxed) {
+            self.socket.send(datagram, to);
+        }
+    }
+
+    fn receive(&self, room: &mut [u8]) -> Option<(usize, Option<SocketAddr>)> {
+        self.socket.receive(room)
+    }
+
+    fn wait(&self, most: Duration) {
+        self.socket.wait(most);
+    }
+
+    fn address(&self) -> String {
+        self.socket.address()
+    }
+}
+
 fn home(patience: Duration) -> (AllocatorAtHome, LineSettings) {
-    let carrier = Arc::new(Udp::listen("127.0.0.1:0".parse().unwrap()).unwrap());
-    let address = carrier.own_address().unwrap();
+    home_that_loses(patience, Arc::default())
+}
+
+fn home_that_loses(patience: Duration, loses: Arc<AtomicBool>) -> (AllocatorAtHome, LineSettings) {
+    let socket = Udp::listen("127.0.0.1:0".parse().unwrap()).unwrap();
+    let address = socket.own_address().unwrap();
+    let carrier = Arc::new(Losing { socket, loses });
     let judge = |offer: &Offer| match *offer == OFFER {
         true => Ok(Team::new(SHAPE, 0, 65)),
         false => Err("it is another one".to_owned()),
@@ -120,7 +154,8 @@ fn it_allocates_as_it_would_here() {
     }
     let refused = [-1.0; 10];
     assert!(ask(ByFeature, &refused).is_err() && ask(&home, &refused).is_err());
-    assert!(home.tend(), "who refuses is there");
+    assert!(!home.tend(), "others are asked about that state");
+    wait_for("who refuses is there", || home.tend());
     home.end();
     assert_eq!(elsewhere.thread.join().unwrap(), FarPoll::Ended);
 }
@@ -172,4 +207,21 @@ fn who_does_not_answer_is_not_there() {
     wait_for("the second one is not taken", || home.tend());
     assert_eq!(ask(&home, &[0.0; 10]), ask(ByFeature, &[0.0; 10]));
     second.die();
+}
+
+#[test]
+fn who_is_heard_and_has_not_answered_leaves_the_state_to_others() {
+    let loses = Arc::new(AtomicBool::new(false));
+    // Several times the other end says that it is there while it is waited for.
+    let (home, settings) = home_that_loses(Duration::from_millis(350), Arc::clone(&loses));
+    let elsewhere = Elsewhere::join(settings);
+    wait_for("nobody comes", || home.tend());
+    loses.store(true, Ordering::Relaxed);
+    assert!(ask(&home, &[0.0; 10]).is_err());
+    assert!(!home.tend(), "it may not lead where it has no answer");
+    loses.store(false, Ordering::Relaxed);
+    wait_for("it is not heard again", || home.tend());
+    assert_eq!(ask(&home, &[0.0; 10]), ask(ByFeature, &[0.0; 10]));
+    assert!(home.tend());
+    elsewhere.die();
 }
