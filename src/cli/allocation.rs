@@ -46,7 +46,7 @@ impl ValueEnum for Allocation {
     }
 
     fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(self.name()).help(self.0.about))
+        Some(PossibleValue::new(self.name()).help(&*self.0.about))
     }
 }
 
@@ -80,14 +80,14 @@ impl Allocation {
     }
 
     pub fn name(self) -> &'static str {
-        self.0.name
+        &self.0.name
     }
 
     /// Its number among the rules of an environment.
     pub fn number(self, entry: &Entry) -> Result<usize, Failure> {
         let number = entry.rules.iter().position(|rule| rule.name == self.name());
         number.ok_or_else(|| {
-            let known: Vec<&str> = entry.rules.iter().map(|rule| rule.name).collect();
+            let known: Vec<&str> = entry.rules.iter().map(|rule| &*rule.name).collect();
             let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
             let message = format!(
                 "`{}` is no rule of allocation of `{}`; there are: {known}",

@@ -166,11 +166,11 @@ fn export_run(arguments: &ExportArguments) -> Outcome {
 }
 
 /// Whom the agents are measured under: their own allocator, if they have one, and the rules.
-fn allocations(learned: &LearnedMethod) -> Vec<&'static str> {
+fn allocations(learned: &LearnedMethod) -> Vec<&str> {
     let Some(subtasks) = learned.method.subtasks() else { return vec!["none"] };
     let own = subtasks.allocator.map(|_| LEARNED);
     let rules = learned.environment.spec().rules.iter().take(RULES);
-    own.into_iter().chain(rules.map(|rule| rule.name)).collect()
+    own.into_iter().chain(rules.map(|rule| &*rule.name)).collect()
 }
 
 /// The agents under one of these.

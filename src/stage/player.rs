@@ -9,7 +9,9 @@ use serde::Serialize;
 use sortie_core::wire::FrameMut;
 use sortie_core::world::{Shape, StepOutcome, UnavailableAction, World};
 use sortie_envs::random::episode;
-use sortie_envs::{Choice, ENVIRONMENTS, Entry, Environment, EnvironmentError, Split, StateError};
+use sortie_envs::{
+    Choice, ENVIRONMENTS, Entry, Environment, EnvironmentError, Name, Split, StateError,
+};
 
 use crate::cast::Cast;
 use crate::error::StageError;
@@ -42,7 +44,7 @@ pub struct Opening {
     #[serde(flatten)]
     pub facts: Facts,
     /// Who may allocate, by name; nobody where agents are not assigned.
-    pub allocators: Vec<&'static str>,
+    pub allocators: Vec<Name>,
     /// The first state.
     #[serde(flatten)]
     pub news: News,
@@ -128,8 +130,9 @@ impl<'a> Player<'a> {
     pub fn open(&mut self) -> Result<Opening, StageError> {
         self.stage.attend();
         let news = self.look_again()?;
-        let rules = self.stage.world.with(|seen| seen.worlds.spec().rules).iter();
-        let allocators = ["learned"].into_iter().chain(rules.map(|rule| rule.name));
+        let rules = self.stage.world.with(|seen| seen.worlds.spec().rules.clone());
+        let allocators =
+            ["learned".into()].into_iter().chain(rules.iter().map(|rule| rule.name.clone()));
         let assigns = !self.stage.allocation().is_empty();
         let allocators = if assigns { allocators.collect() } else { Vec::new() };
         Ok(Opening { facts: self.facts.clone(), allocators, news })

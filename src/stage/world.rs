@@ -235,7 +235,7 @@ mod tests {
             let (spec, last) = (environment.spec(), tally.last.as_ref().expect("an episode"));
             assert_eq!(*last, same.last.clone().expect("an episode"));
             for (metric, value) in spec.metrics.iter().zip(&last.metrics) {
-                let sum = tally.metric(spec, metric.name);
+                let sum = tally.metric(spec, &metric.name);
                 assert!(sum.episodes <= 3 && (value.is_none() || sum.episodes >= 1));
             }
         }

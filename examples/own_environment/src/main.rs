@@ -74,9 +74,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let alma = learn("alma", &[SMALL, &["allocation.interval=3"]].concat(), &folder.join("alma"))?;
     let allocated = measured(&mut *alma.method().team())?.return_mean;
     print!("cleared: {allocated:.2} under the allocator that ALMA learned");
-    for rule in yard.spec().rules {
+    for rule in &yard.spec().rules {
         let agents = alma.method().subtasks().ok_or("it has no subtasks")?;
-        let mut team = agents.under(Box::new(RuleAllocator(rule.name)));
+        let mut team = agents.under(Box::new(RuleAllocator(&rule.name)));
         print!(", {:.2} under the rule `{}`", measured(&mut team)?.return_mean, rule.name);
     }
     println!();

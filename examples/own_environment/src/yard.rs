@@ -45,7 +45,7 @@ impl Yard {
         let own = ["is-site", "is-left"].map(str::to_owned);
         let lifts = (0..SITES).map(|site| format!("lift-{site}"));
         let spec = Spec {
-            name: "yard",
+            name: "yard".into(),
             shape: Shape {
                 agents: CARTS,
                 entities: CARTS + SITES,
@@ -63,9 +63,9 @@ impl Yard {
             pairs: PAIRS..FEATURES,
             safe_action: Some(1),
             rewards: Rewards { tasks: true, agents: false },
-            rules: &[
-                Rule { name: "even", about: "carts are shared out among the sites that are left" },
-                Rule { name: "nearest", about: "every cart goes to the nearest site that is left" },
+            rules: vec![
+                Rule::new("even", "carts are shared out among the sites that are left"),
+                Rule::new("nearest", "every cart goes to the nearest site that is left"),
             ],
             row_entries: 2 + 2 * SITES,
             state_bytes: 1 + 2 * SITES + CARTS,

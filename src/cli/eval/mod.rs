@@ -416,9 +416,9 @@ fn print_tables(evaluation: &Evaluation, spec: &Spec, by_seed: Option<&BySeed>) 
         let name = format!("of {}", plural(of_seeds.len(), "seed"));
         row(&name, format!("sd {sd:.digits$} ({least:.digits$} to {most:.digits$})"));
     }
-    for metric in spec.metrics {
-        if let Some(value) = evaluation.metrics.get(metric.name) {
-            row(metric.about, format!("{value:.3}"));
+    for metric in &spec.metrics {
+        if let Some(value) = evaluation.metrics.get(&*metric.name) {
+            row(&metric.about, format!("{value:.3}"));
         }
     }
     if spec.has_success {

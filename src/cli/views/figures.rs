@@ -78,7 +78,7 @@ pub(crate) fn figures(spec: &Spec, tally: &Tally) -> Figures {
         return Figures { text: format!("{what} {} of {all}", sum(reached)), fields };
     }
     let means = spec.metrics.iter().filter_map(|metric| {
-        let sum = tally.metric(spec, metric.name);
+        let sum = tally.metric(spec, &metric.name);
         (sum.episodes > 0).then(|| (metric, sum.sum / sum.episodes as f64))
     });
     let text = means.clone().filter(|(metric, _)| metric.is_reported);
@@ -87,7 +87,7 @@ pub(crate) fn figures(spec: &Spec, tally: &Tally) -> Figures {
         format!("{name} {mean:.2}{unit}")
     });
     let fields: Map<String, Value> =
-        means.map(|(metric, mean)| (metric.name.to_owned(), mean.into())).collect();
+        means.map(|(metric, mean)| (metric.name.to_string(), mean.into())).collect();
     Figures { text: text.collect::<Vec<_>>().join(", "), fields: vec![("metrics", fields.into())] }
 }
 
@@ -102,7 +102,7 @@ mod tests {
         let world = open(name, Split::Test, 1, &Default::default()).expect("it opens");
         let spec = world.spec().clone();
         let value = |name| values.iter().find(|(known, _)| *known == name).map(|(_, it)| *it);
-        let metrics = spec.metrics.iter().map(|metric| value(metric.name)).collect();
+        let metrics = spec.metrics.iter().map(|metric| value(&metric.name)).collect();
         (spec, Episode { steps: 7, metrics, ..Episode::default() })
     }
 

@@ -32,7 +32,7 @@ pub(super) fn record(
     let environment = set.open(Split::Test)?;
     let mut recording = recording_of(bundle);
     let mut recorder = recording_policy(policy, &mut recording);
-    let usual = environment.spec().rules.first().map_or("", |rule| rule.name);
+    let usual = environment.spec().rules.first().map_or("", |rule| &rule.name);
     let rule = Box::new(RuleAllocator(usual));
     let interval = bundle.contract().decision_interval;
     let mut team = allocated(&mut recorder, rule, interval);

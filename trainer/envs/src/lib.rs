@@ -65,5 +65,5 @@ pub use picture::Picture;
 pub use random::Random;
 pub use registry::{Choice, ENVIRONMENTS, Entry, EnvironmentError, open};
 pub use rows::SparseRows;
-pub use spec::{Metric, Rewards, Role, Rule, Shape, Sign, Spec, SpecError, View};
+pub use spec::{Metric, Name, Rewards, Role, Rule, Shape, Sign, Spec, SpecError, View};
 pub use throughput::{observe_and_step, step_alone};

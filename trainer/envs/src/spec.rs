@@ -1,5 +1,6 @@
 //! What an environment says of itself.
 
+use alloc::borrow::Cow;
 use alloc::string::String;
 use alloc::vec::Vec;
 use core::fmt;
@@ -44,26 +45,50 @@ pub enum View {
     Pictures([usize; 3]),
 }
 
+/// A name: of an environment's own text, or made when one with such a name is made.
+pub type Name = Cow<'static, str>;
+
 /// A number that every episode of an environment comes to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Metric {
     /// Its name in files and tables.
-    pub name: &'static str,
+    pub name: Name,
     /// Its unit.
-    pub unit: &'static str,
+    pub unit: Name,
     /// What it says, in a few words.
-    pub about: &'static str,
+    pub about: Name,
     /// Whether evaluations tell its mean; recordings of episodes have all.
     pub is_reported: bool,
 }
 
+impl Metric {
+    /// A metric that evaluations tell.
+    pub const fn reported(name: &'static str, unit: &'static str, about: &'static str) -> Self {
+        let [name, unit, about] = [Cow::Borrowed(name), Cow::Borrowed(unit), Cow::Borrowed(about)];
+        Self { name, unit, about, is_reported: true }
+    }
+
+    /// A metric that only recordings of episodes have.
+    pub const fn recorded(name: &'static str, unit: &'static str, about: &'static str) -> Self {
+        let [name, unit, about] = [Cow::Borrowed(name), Cow::Borrowed(unit), Cow::Borrowed(about)];
+        Self { name, unit, about, is_reported: false }
+    }
+}
+
 /// A rule that assigns agents to subtasks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rule {
     /// Its name, as `--allocation` takes it.
-    pub name: &'static str,
+    pub name: Name,
     /// What it does, in one sentence.
-    pub about: &'static str,
+    pub about: Name,
+}
+
+impl Rule {
+    /// A rule by its name.
+    pub const fn new(name: &'static str, about: &'static str) -> Self {
+        Self { name: Cow::Borrowed(name), about: Cow::Borrowed(about) }
+    }
 }
 
 /// Agents that see and do the same kinds of things, where not all do.
@@ -105,7 +130,7 @@ pub struct Rewards {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spec {
     /// Its name, as `--env` takes it.
-    pub name: &'static str,
+    pub name: Name,
     /// The version of its rules: another one where a trained policy would notice the difference.
     pub version: &'static str,
     /// The padded sizes.
@@ -134,7 +159,7 @@ pub struct Spec {
     /// Whether episodes can be solved; where none can, returns alone say how good a team is.
     pub has_success: bool,
     /// What an episode comes to, besides its return, its length and whether it was solved.
-    pub metrics: &'static [Metric],
+    pub metrics: Vec<Metric>,
     /// Why episodes fail, by names; none where causes are not told apart.
     pub causes: &'static [&'static str],
     /// Names of what can be reached on the way to the task, which is the last; none where no such thing is told.
@@ -150,7 +175,7 @@ pub struct Spec {
     /// Symmetries of the rules, the one that changes nothing included.
     pub turns: usize,
     /// The rules that assign agents to subtasks, the usual one first.
-    pub rules: &'static [Rule],
+    pub rules: Vec<Rule>,
     /// Columns of the relation between an entity and a subtask.
     pub relations: usize,
     /// Most features of one row that differ from zero.
@@ -165,7 +190,7 @@ pub struct Spec {
 impl Default for Spec {
     fn default() -> Self {
         Self {
-            name: "",
+            name: Name::default(),
             version: "1",
             shape: Shape { agents: 0, entities: 0, tasks: 0, actions: 0, features: 0 },
             view: View::Entities,
@@ -178,7 +203,7 @@ impl Default for Spec {
             fixed: 0,
             safe_action: None,
             has_success: true,
-            metrics: &[],
+            metrics: Vec::new(),
             causes: &[],
             milestones: Vec::new(),
             signs: Vec::new(),
@@ -186,7 +211,7 @@ impl Default for Spec {
             solved_return: 0.0,
             disturbance: "",
             turns: 1,
-            rules: &[],
+            rules: Vec::new(),
             relations: 0,
             row_entries: 0,
             state_bytes: 0,

@@ -132,7 +132,7 @@ pub(crate) fn metric_means<'a>(
         let values = episodes.clone().filter_map(|metrics| metrics.get(index).copied().flatten());
         let values: Vec<f64> = values.collect();
         let mean = values.iter().sum::<f64>() / values.len() as f64;
-        (!values.is_empty()).then(|| (metric.name.to_owned(), mean))
+        (!values.is_empty()).then(|| (metric.name.to_string(), mean))
     };
     reported.filter_map(mean).collect()
 }
@@ -270,9 +270,10 @@ mod tests {
     }
 
     fn summary(episodes: &[Episode]) -> Evaluation {
-        const METRICS: &[Metric] =
-            &[Metric { name: "burned", unit: "share", about: "burned", is_reported: true }];
-        Evaluation::of(&Spec { metrics: METRICS, causes: &["late"], ..Spec::default() }, episodes)
+        // A name that is made where the environment is.
+        let name = ["burn", "ed"].concat().into();
+        let metrics = vec![Metric { name, ..Metric::reported("", "share", "burned") }];
+        Evaluation::of(&Spec { metrics, causes: &["late"], ..Spec::default() }, episodes)
     }
 
     #[test]

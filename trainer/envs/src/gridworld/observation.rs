@@ -87,18 +87,8 @@ pub(super) fn write_row(rules: &Rules, state: &State<'_>, agent: usize, rows: &m
 pub(super) const NAME: &str = "gridworld";
 
 const METRICS: &[Metric] = &[
-    Metric {
-        name: "treasures",
-        unit: "treasures",
-        about: "treasures found, one for each agent that found it",
-        is_reported: true,
-    },
-    Metric {
-        name: "tiers",
-        unit: "tiers",
-        about: "tiers of treasures finished",
-        is_reported: true,
-    },
+    Metric::reported("treasures", "treasures", "treasures found, one for each agent that found it"),
+    Metric::reported("tiers", "tiers", "tiers of treasures finished"),
 ];
 
 /// What a gridworld with these rules says of itself.
@@ -106,7 +96,7 @@ pub(super) fn spec(rules: &Rules) -> Spec {
     let (agents, features) = (rules.agents(), columns(rules));
     let actions = ACTION_NAMES.len();
     Spec {
-        name: NAME,
+        name: NAME.into(),
         version: VERSION,
         shape: Shape { agents, entities: agents, tasks: 0, actions, features },
         view: View::Vectors,
@@ -114,7 +104,7 @@ pub(super) fn spec(rules: &Rules) -> Spec {
         units: units(rules),
         actions: ACTION_NAMES.map(String::from).to_vec(),
         safe_action: Some(STAY.into()),
-        metrics: METRICS,
+        metrics: METRICS.to_vec(),
         row_entries: entries(rules),
         state_bytes: state_bytes(rules),
         episode_limit: rules.episode_limit,

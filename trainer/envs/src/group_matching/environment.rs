@@ -54,8 +54,7 @@ pub fn write_row(parameters: &Parameters, ring: Ring<'_>, agent: usize, row: &mu
 /// Its name, as `--env` takes it.
 pub(super) const NAME: &str = "group-matching";
 
-const METRICS: &[Metric] =
-    &[Metric { name: "matches", unit: "groups", about: "groups gathered", is_reported: true }];
+const METRICS: &[Metric] = &[Metric::reported("matches", "groups", "groups gathered")];
 
 /// Entries of a row beside the groups: its cell, itself.
 const OWN_ENTRIES: usize = 2;
@@ -65,14 +64,14 @@ pub(super) fn spec(parameters: &Parameters) -> Spec {
     let Parameters { agents, groups, episode_limit, .. } = *parameters;
     let features = parameters.features();
     Spec {
-        name: NAME,
+        name: NAME.into(),
         version: VERSION,
         shape: Shape { agents, entities: agents, tasks: 0, actions: ACTIONS, features },
         view: View::Entities,
         features: feature_names(parameters),
         actions: ACTION_NAMES.map(String::from).to_vec(),
         safe_action: Some(STAY),
-        metrics: METRICS,
+        metrics: METRICS.to_vec(),
         row_entries: OWN_ENTRIES + groups,
         state_bytes: state_bytes(parameters),
         episode_limit,

@@ -4,7 +4,6 @@ use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec;
 use alloc::vec::Vec;
-use core::marker::PhantomData;
 
 use super::VERSION;
 use super::rules::{Rules, state_bytes};
@@ -108,31 +107,11 @@ pub(super) fn write_row<G: Game>(world: &World, is_mirrored: bool, rows: &mut Sp
     rows.end_row();
 }
 
-/// How many numbers of episodes a game can have: one, and one for each milestone.
-const MOST: usize = 17;
-
-struct Metrics<G>(PhantomData<G>);
-
-impl<G: Game> Metrics<G> {
-    const ALL: &[Metric; MOST] = &metrics::<G>();
-}
-
 /// What episodes are measured by: how many milestones they reached, and of each whether they did.
-const fn metrics<G: Game>() -> [Metric; MOST] {
-    let reached = Metric {
-        name: "milestones",
-        unit: "milestones",
-        about: "different milestones reached",
-        is_reported: true,
-    };
-    let mut metrics = [reached; MOST];
-    let mut place = 0;
-    while place < G::MILESTONES.len() {
-        let name = G::MILESTONES[place];
-        metrics[1 + place] = Metric { name, unit: "share", about: name, is_reported: true };
-        place += 1;
-    }
-    metrics
+fn metrics<G: Game>() -> Vec<Metric> {
+    let reached = Metric::reported("milestones", "milestones", "different milestones reached");
+    let each = G::MILESTONES.iter().map(|name| Metric::reported(name, "share", name));
+    core::iter::once(reached).chain(each).collect()
 }
 
 /// No milestone can be had any more.
@@ -147,7 +126,7 @@ pub(super) fn spec<G: Game>(rules: &Rules) -> Spec {
     let units = |column| if column < features - G::ITEMS.len() { "0 or 1" } else { "items" };
     let cells = WINDOW * WINDOW;
     Spec {
-        name: G::NAME,
+        name: G::NAME.into(),
         version: VERSION,
         shape: Shape { agents: 1, entities: 1, tasks: 0, actions: G::ACTIONS.len(), features },
         view: View::Pictures([channels::<G>(), WINDOW, WINDOW]),
@@ -155,7 +134,7 @@ pub(super) fn spec<G: Game>(rules: &Rules) -> Spec {
         units: (0..features).map(units).collect(),
         actions: names(G::ACTIONS),
         safe_action: Some(0),
-        metrics: Metrics::<G>::ALL.split_at(1 + G::MILESTONES.len()).0,
+        metrics: metrics::<G>(),
         causes: &[IMPOSSIBLE, TIME],
         milestones: names(&rules.milestones.names::<G>()),
         signs: signs::<G>(rules),

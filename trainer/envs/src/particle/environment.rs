@@ -357,7 +357,7 @@ fn spec<S: Scenario>(scenario: &S) -> Spec {
         roles = Vec::new();
     }
     Spec {
-        name: NAME,
+        name: NAME.into(),
         version: VERSION,
         shape: Shape { agents, entities: agents, tasks: 0, actions: ACTIONS, features },
         view: View::Vectors,
@@ -367,7 +367,7 @@ fn spec<S: Scenario>(scenario: &S) -> Spec {
         roles,
         safe_action: Some(0),
         has_success: false,
-        metrics: S::METRICS,
+        metrics: S::METRICS.to_vec(),
         rewards: Rewards { tasks: false, agents: true },
         row_entries: features,
         state_bytes: state_bytes(scenario),

@@ -77,18 +77,12 @@ impl Scenario for Navigation {
     type World = Navigated;
 
     const METRICS: &'static [Metric] = &[
-        Metric {
-            name: "uncovered",
-            unit: "half sides",
-            about: "distance from landmarks to the nearest agent, summed, mean over steps",
-            is_reported: true,
-        },
-        Metric {
-            name: "collisions",
-            unit: "pairs",
-            about: "pairs of agents that touch, summed over steps",
-            is_reported: true,
-        },
+        Metric::reported(
+            "uncovered",
+            "half sides",
+            "distance from landmarks to the nearest agent, summed, mean over steps",
+        ),
+        Metric::reported("collisions", "pairs", "pairs of agents that touch, summed over steps"),
     ];
 
     fn roles(&self) -> Vec<Role> {

@@ -88,12 +88,8 @@ impl RoverTower {
 impl Scenario for RoverTower {
     type World = Roved;
 
-    const METRICS: &'static [Metric] = &[Metric {
-        name: "near",
-        unit: "steps",
-        about: "steps near the goal, mean over rovers",
-        is_reported: true,
-    }];
+    const METRICS: &'static [Metric] =
+        &[Metric::reported("near", "steps", "steps near the goal, mean over rovers")];
 
     fn roles(&self) -> Vec<Role> {
         let pairs = self.rovers();

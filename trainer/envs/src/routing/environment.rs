@@ -46,32 +46,12 @@ const USUAL: usize = 15;
 const SEQUENTIAL: &str = "-sequential";
 
 const METRICS: &[Metric] = &[
-    Metric {
-        name: "over_optimum",
-        unit: "times",
-        about: "length of all routes, by that of the shortest",
-        is_reported: true,
-    },
-    Metric { name: "length", unit: "sides", about: "length of all routes", is_reported: true },
-    Metric {
-        name: "vehicles",
-        unit: "vehicles",
-        about: "vehicles that left the depot",
-        is_reported: true,
-    },
-    Metric {
-        name: "waves",
-        unit: "rounds",
-        about: "rounds in which vehicles left the depot",
-        is_reported: true,
-    },
-    Metric { name: "trips", unit: "trips", about: "trips of all vehicles", is_reported: false },
-    Metric {
-        name: "forced",
-        unit: "rounds",
-        about: "rounds in which nobody moved by itself",
-        is_reported: false,
-    },
+    Metric::reported("over_optimum", "times", "length of all routes, by that of the shortest"),
+    Metric::reported("length", "sides", "length of all routes"),
+    Metric::reported("vehicles", "vehicles", "vehicles that left the depot"),
+    Metric::reported("waves", "rounds", "rounds in which vehicles left the depot"),
+    Metric::recorded("trips", "trips", "trips of all vehicles"),
+    Metric::recorded("forced", "rounds", "rounds in which nobody moved by itself"),
 ];
 
 /// Instances of each size to measure on; those to learn from have seeds of 33 bits and more.
@@ -224,7 +204,7 @@ fn spec(layout: Layout) -> Spec {
     let tasks = customers + 1;
     let (features, actions) = (feature_names(), layout.action_names());
     Spec {
-        name: ENTRY.name,
+        name: ENTRY.name.into(),
         version: VERSION,
         shape: Shape {
             agents,
@@ -239,9 +219,9 @@ fn spec(layout: Layout) -> Spec {
         fixed: FIXED,
         safe_action: Some(Layout::STAY),
         has_success: false,
-        metrics: METRICS,
+        metrics: METRICS.to_vec(),
         turns: TURNS,
-        rules: RULES,
+        rules: RULES.to_vec(),
         row_entries: ROW_ENTRIES,
         state_bytes: state_bytes(layout),
         episode_limit: 2 * customers as u32,

@@ -11,18 +11,18 @@ use crate::decisions::UNASSIGNED;
 use crate::spec::Rule;
 
 pub(super) const RULES: &[Rule] = &[
-    Rule {
-        name: "nearest",
-        about: "one vehicle at a time goes to the nearest customer that fits, and home when none does",
-    },
-    Rule {
-        name: "greedy",
-        about: "every vehicle goes to the nearest customer that fits and nobody before it goes to, and home when none is left for it",
-    },
-    Rule {
-        name: "hungarian",
-        about: "as many vehicles as can go to customers at once, by the shortest ways of all together, and home when none is left",
-    },
+    Rule::new(
+        "nearest",
+        "one vehicle at a time goes to the nearest customer that fits, and home when none does",
+    ),
+    Rule::new(
+        "greedy",
+        "every vehicle goes to the nearest customer that fits and nobody before it goes to, and home when none is left for it",
+    ),
+    Rule::new(
+        "hungarian",
+        "as many vehicles as can go to customers at once, by the shortest ways of all together, and home when none is left",
+    ),
 ];
 
 /// What rules look at: whoever there is, and where they may go.

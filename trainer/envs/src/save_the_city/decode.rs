@@ -8,7 +8,7 @@ use super::observation::{
 };
 use super::rules::ACTIONS;
 use super::scenarios::ABSENT_BUILDING;
-use super::scripted::RULES;
+use super::scripted::AllocationRule;
 use super::state::{
     AgentKind, AgentState, BuildingKind, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS,
     NO_BUILDING, Status,
@@ -108,7 +108,7 @@ impl FrameReader for CityDecoder {
         }
         self.team_allocation.resize(self.agents.len(), UNASSIGNED);
         let city = City { agents: &self.agents, buildings: &self.buildings };
-        RULES[rule].1.allocate(city, random, &mut self.team_allocation);
+        AllocationRule::ALL[rule].allocate(city, random, &mut self.team_allocation);
         allocation.fill(UNASSIGNED);
         for (&row, &task) in self.agent_rows.iter().zip(&self.team_allocation) {
             allocation[row] = task;

@@ -10,12 +10,12 @@ use super::decode::CityDecoder;
 use super::episode::EpisodeMetrics;
 use super::grid::Symmetry;
 use super::observation::{
-    BUILDINGS, METRICS, NAME, RULE_NAMES, agent_features, agent_relation, building_features,
-    building_relation, picture, potential,
+    BUILDINGS, METRICS, NAME, agent_features, agent_relation, building_features, building_relation,
+    picture, potential,
 };
 use super::rules::FIGHT;
 use super::scenarios::{CityError, SET_NAMES, ScenarioSet};
-use super::scripted::{RULES, scripted_actions};
+use super::scripted::{AllocationRule, RULES, scripted_actions};
 use super::simulator::SaveTheCity;
 use super::state::{AgentState, BuildingState, City, MAX_AGENTS, MAX_BUILDINGS, NO_BUILDING};
 use super::{Constants, VERSION};
@@ -35,7 +35,7 @@ pub const ENTRY: Entry = Entry {
     version: VERSION,
     sets: || SET_NAMES.map(String::from).to_vec(),
     open: |choice| Ok(Box::new(open(choice)?)),
-    rules: RULE_NAMES,
+    rules: RULES,
     reader: Some(|| Box::new(CityDecoder::new())),
     #[cfg(feature = "std")]
     recordings: Some(super::golden::RECORDINGS),
@@ -84,7 +84,7 @@ fn metrics(metrics: &EpisodeMetrics) -> Vec<Option<f64>> {
         BUILDINGS => Some(f64::from(metrics.buildings)),
         _ => entries.iter().find(|(known, _)| *known == name).map(|(_, value)| *value),
     };
-    METRICS.iter().map(|metric| value(metric.name)).collect()
+    METRICS.iter().map(|metric| value(&metric.name)).collect()
 }
 
 fn impossible(error: CityError) -> StateError {
@@ -227,7 +227,7 @@ impl Environment for SaveTheCity {
     }
 
     fn allocate(&self, rule: usize, state: &[u8], random: &mut Random, allocation: &mut [u8]) {
-        with_city(state, |city| RULES[rule].1.allocate(city, random, allocation));
+        with_city(state, |city| AllocationRule::ALL[rule].allocate(city, random, allocation));
     }
 
     fn scripted(

@@ -15,7 +15,7 @@ use super::scripted::RULES;
 use super::state::{AgentKind, AgentState, BuildingKind, BuildingState, City, SIDE, Status};
 use super::{Constants, VERSION};
 use crate::picture::{Bar, Disc, Field, Outline, Picture};
-use crate::spec::{Metric, Rewards, Rule, Shape, Spec, View};
+use crate::spec::{Metric, Rewards, Shape, Spec, View};
 
 /// Columns of a feature row.
 pub const FEATURES: usize = 58;
@@ -210,44 +210,16 @@ pub(super) const NAME: &str = "save-the-city";
 /// The metric that tells how many buildings there were.
 pub(super) const BUILDINGS: &str = "buildings";
 
-/// What a command line may name, see [`RULES`].
-pub(super) const RULE_NAMES: &[Rule] = &[RULES[0].0, RULES[1].0, RULES[2].0];
-
 pub(super) const METRICS: &[Metric] = &[
-    Metric { name: "none_burned", unit: "share", about: "no building burned", is_reported: true },
-    Metric {
-        name: "prop_buildings_completed",
-        unit: "share",
-        about: "of the buildings that are complete",
-        is_reported: false,
-    },
-    Metric { name: "fires_extinguished", unit: "fires", about: "put out", is_reported: false },
-    Metric {
-        name: "buildings_completed",
-        unit: "buildings",
-        about: "completed",
-        is_reported: false,
-    },
-    Metric { name: "buildings_burned", unit: "buildings", about: "lost", is_reported: false },
-    Metric { name: BUILDINGS, unit: "buildings", about: "of the episode", is_reported: false },
-    Metric {
-        name: "buildings_health_delta",
-        unit: "health",
-        about: "sum of all changes",
-        is_reported: false,
-    },
-    Metric {
-        name: "types_per_firefight",
-        unit: "kinds",
-        about: "at a fire that anyone fought",
-        is_reported: false,
-    },
-    Metric {
-        name: "types_per_build",
-        unit: "kinds",
-        about: "at a building that anyone built",
-        is_reported: false,
-    },
+    Metric::reported("none_burned", "share", "no building burned"),
+    Metric::recorded("prop_buildings_completed", "share", "of the buildings that are complete"),
+    Metric::recorded("fires_extinguished", "fires", "put out"),
+    Metric::recorded("buildings_completed", "buildings", "completed"),
+    Metric::recorded("buildings_burned", "buildings", "lost"),
+    Metric::recorded(BUILDINGS, "buildings", "of the episode"),
+    Metric::recorded("buildings_health_delta", "health", "sum of all changes"),
+    Metric::recorded("types_per_firefight", "kinds", "at a fire that anyone fought"),
+    Metric::recorded("types_per_build", "kinds", "at a building that anyone built"),
 ];
 
 /// The unit of a feature.
@@ -271,7 +243,7 @@ pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
         features: FEATURES,
     };
     Spec {
-        name: NAME,
+        name: NAME.into(),
         version: VERSION,
         shape,
         view: View::Entities,
@@ -279,12 +251,12 @@ pub(super) fn spec(set: &ScenarioSet, constants: &Constants) -> Spec {
         units: FEATURE_NAMES.map(unit).to_vec(),
         actions: ACTION_NAMES.map(String::from).to_vec(),
         safe_action: Some(0),
-        metrics: METRICS,
+        metrics: METRICS.to_vec(),
         causes: &Cause::NAMES,
         rewards: Rewards { tasks: true, agents: false },
         disturbance: "set on fire",
         turns: Symmetry::ALL.len(),
-        rules: RULE_NAMES,
+        rules: RULES.to_vec(),
         relations: RELATIONS,
         row_entries: ROW_ENTRIES,
         state_bytes: state_bytes(set.max_agents, set.max_buildings),

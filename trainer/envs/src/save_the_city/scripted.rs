@@ -23,31 +23,23 @@ pub enum AllocationRule {
 }
 
 /// The rules as command lines name them, the usual one first.
-pub(super) const RULES: [(Rule, AllocationRule); 3] = [
-    (
-        Rule {
-            name: "coordinated",
-            about: "One agent after the other, by travel time, urgency and who is there already",
-        },
-        AllocationRule::Coordinated,
+pub(super) const RULES: &[Rule] = &[
+    Rule::new(
+        "coordinated",
+        "One agent after the other, by travel time, urgency and who is there already",
     ),
-    (
-        Rule {
-            name: "heuristic",
-            about: "Every agent for itself, the nearest subtask of the kind it prefers",
-        },
-        AllocationRule::Heuristic,
-    ),
-    (
-        Rule { name: "random", about: "Every agent an open subtask at random" },
-        AllocationRule::Random,
-    ),
+    Rule::new("heuristic", "Every agent for itself, the nearest subtask of the kind it prefers"),
+    Rule::new("random", "Every agent an open subtask at random"),
 ];
 
 impl AllocationRule {
+    /// In the order of [`RULES`].
+    pub(super) const ALL: [Self; 3] = [Self::Coordinated, Self::Heuristic, Self::Random];
+
     /// The rule of this name.
     pub fn named(name: &str) -> Option<Self> {
-        RULES.into_iter().find(|(rule, _)| rule.name == name).map(|(_, rule)| rule)
+        let place = RULES.iter().position(|rule| rule.name == name)?;
+        Self::ALL.get(place).copied()
     }
 
     /// Writes for every agent its building, or [`UNASSIGNED`]; further entries are [`UNASSIGNED`].

@@ -42,14 +42,9 @@ pub const ENTRY: Entry = Entry {
 };
 
 const METRICS: &[Metric] = &[
-    Metric { name: "felled", unit: "enemies", about: "enemies that died", is_reported: true },
-    Metric { name: "alive", unit: "allies", about: "allies that lived", is_reported: true },
-    Metric {
-        name: "defeated",
-        unit: "armies",
-        about: "armies of which none lived",
-        is_reported: true,
-    },
+    Metric::reported("felled", "enemies", "enemies that died"),
+    Metric::reported("alive", "allies", "allies that lived"),
+    Metric::reported("defeated", "armies", "armies of which none lived"),
 ];
 
 const CAUSES: &[&str] = &["killed", "infiltrated", "time"];
@@ -184,7 +179,7 @@ fn spec(scenario: &Scenario, layout: &Layout) -> Spec {
     let first = if layout.has_healers { 0 } else { agents };
     let pairs = if is_aimed { layout.first_slot()..features.len() } else { 0..0 };
     Spec {
-        name: ENTRY.name,
+        name: ENTRY.name.into(),
         version: VERSION,
         shape,
         row_entries: layout.row_entries(),
@@ -193,12 +188,12 @@ fn spec(scenario: &Scenario, layout: &Layout) -> Spec {
         features,
         actions,
         safe_action: Some(0),
-        metrics: if scenario.is_defence { METRICS } else { &METRICS[..2] },
+        metrics: METRICS[..if scenario.is_defence { METRICS.len() } else { 2 }].to_vec(),
         causes: if scenario.is_defence { CAUSES } else { &["killed", "time"] },
         rewards: Rewards { tasks: scenario.is_defence, agents: false },
         solved_return: 20.0,
         turns: 8,
-        rules: if scenario.is_defence { RULES } else { &[] },
+        rules: if scenario.is_defence { RULES.to_vec() } else { Vec::new() },
         relations: if scenario.is_defence { RELATIONS } else { 0 },
         state_bytes: state_bytes(units),
         episode_limit: scenario.limit,

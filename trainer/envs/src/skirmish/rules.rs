@@ -12,12 +12,12 @@ use crate::spec::Rule;
 
 /// The rules as command lines name them, the usual one first.
 pub(super) const RULES: &[Rule] = &[
-    Rule {
-        name: "dynamic",
-        about: "One agent after the other: an army that attacks, that has a unit of its type left to match, that nobody has, that is larger",
-    },
-    Rule { name: "matching", about: "The same, whether an army attacks or not" },
-    Rule { name: "random", about: "Every agent any army that is left" },
+    Rule::new(
+        "dynamic",
+        "One agent after the other: an army that attacks, that has a unit of its type left to match, that nobody has, that is larger",
+    ),
+    Rule::new("matching", "The same, whether an army attacks or not"),
+    Rule::new("random", "Every agent any army that is left"),
 ];
 
 /// The rule that draws.

@@ -32,8 +32,8 @@ pub const ENTRY: Entry = Entry {
 };
 
 const METRICS: &[Metric] = &[
-    Metric { name: "felled", unit: "enemies", about: "enemies that died", is_reported: true },
-    Metric { name: "alive", unit: "allies", about: "allies that lived", is_reported: true },
+    Metric::reported("felled", "enemies", "enemies that died"),
+    Metric::reported("alive", "allies", "allies that lived"),
 ];
 
 /// SMAX, many instances in one object. A step allocates nothing.
@@ -87,12 +87,12 @@ fn spec(rules: &Rules, roster: &Roster) -> Spec {
     let others = ["north", "east", "south", "west", "stop"].map(String::from);
     let actions: Vec<String> = others.into_iter().chain(attacks).collect();
     let general = Spec {
-        name: ENTRY.name,
+        name: ENTRY.name.into(),
         version: VERSION,
         shape: Shape { agents, entities: units, tasks: 0, actions: actions.len(), features: 0 },
         actions,
         safe_action: Some(STOP.into()),
-        metrics: METRICS,
+        metrics: METRICS.to_vec(),
         state_bytes: state_bytes(units),
         solved_return: 2.0,
         episode_limit: rules.max_steps + 1,

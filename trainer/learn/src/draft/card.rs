@@ -88,6 +88,11 @@ pub(super) fn card(
 /// A column of the card's table: its name, and what stands in it.
 type Column<'a> = (&'a str, Box<dyn Fn(&Measured) -> String + 'a>);
 
+fn of_metric(metric: &Metric) -> Column<'_> {
+    let value = |it: &Measured| it.evaluation.metrics.get(&*metric.name).copied();
+    (&metric.about, Box::new(move |it| format!("{:.3}", value(it).unwrap_or(f64::NAN))))
+}
+
 /// The card's table of measured episodes, a row for each set and allocation; who allocated, and the environment's own
 /// metrics, stand in it where agents are allocated in such an environment.
 pub fn measured_table(measured: &[Measured], allocated_in: Option<&Spec>) -> String {
@@ -104,11 +109,7 @@ pub fn measured_table(measured: &[Measured], allocated_in: Option<&Spec>) -> Str
     ];
     if let Some(spec) = allocated_in {
         let metrics = spec.metrics.iter().filter(|metric| metric.is_reported);
-        let metric = |metric: &'static Metric| -> Column<'_> {
-            let value = |it: &Measured| it.evaluation.metrics.get(metric.name).copied();
-            (metric.about, Box::new(move |it| format!("{:.3}", value(it).unwrap_or(f64::NAN))))
-        };
-        columns.splice(3..3, metrics.map(metric));
+        columns.splice(3..3, metrics.map(of_metric));
         columns.insert(1, ("allocation", Box::new(|it| it.allocation.clone())));
     } else {
         columns.push(("steps", Box::new(|it| format!("{:.2}", it.evaluation.length_mean))));

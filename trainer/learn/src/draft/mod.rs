@@ -125,7 +125,7 @@ fn golden(
     let mut golden = Golden::default();
     let mut recorder = Recorder::new(environment.spec().shape.features);
     if let Some(subtasks) = run.method.subtasks() {
-        let usual = environment.spec().rules.first().map_or("", |rule| rule.name);
+        let usual = environment.spec().rules.first().map_or("", |rule| &rule.name);
         recorder.fill(seed, |recorder, seed| {
             let agents = Box::new(PolicyAgents::new(recorder.of(&mut *policy)));
             let rule = Box::new(RuleAllocator(usual));

@@ -334,13 +334,13 @@ mod tests {
     }
 
     const METRICS: &[sortie_envs::Metric] = &[
-        sortie_envs::Metric { name: "hidden", unit: "", about: "", is_reported: false },
-        sortie_envs::Metric { name: "found", unit: "", about: "", is_reported: true },
+        sortie_envs::Metric::recorded("hidden", "", ""),
+        sortie_envs::Metric::reported("found", "", ""),
     ];
 
     #[test]
     fn means_are_those_of_the_last_hundred() {
-        let spec = Spec { metrics: METRICS, ..Spec::default() };
+        let spec = Spec { metrics: METRICS.to_vec(), ..Spec::default() };
         let mut recent = Recent::default();
         for episode in 0..LAST {
             assert!(recent.means(&spec).is_empty(), "after {episode}");

@@ -34,7 +34,7 @@ pub struct EnvironmentChoice {
 impl EnvironmentChoice {
     /// An environment that is handed over, not found by its name.
     pub fn of(environment: &dyn Environment, instances: usize) -> Self {
-        let name = environment.spec().name.to_owned();
+        let name = environment.spec().name.to_string();
         Self { name, instances, ..Self::default() }
     }
 

@@ -178,7 +178,7 @@ impl MethodEntry {
         match (self.misfit)(spec) {
             None => (self.open)(opening),
             Some(why) => {
-                let (method, environment) = (self.name, spec.name);
+                let (method, environment) = (self.name, &spec.name);
                 Err(LearnError::Misfit(format!("`{method}` does not fit `{environment}`: {why}")))
             }
         }

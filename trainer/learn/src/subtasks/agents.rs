@@ -126,7 +126,7 @@ impl Agents for ScriptedAgents {
         for (scene, actions) in scenes.iter().zip(actions.chunks_exact_mut(slots)) {
             let AllocatedScene { environment, state, allocation, .. } = *scene;
             if !environment.scripted(state, allocation, &mut self.random, actions) {
-                let name = environment.spec().name;
+                let name = &environment.spec().name;
                 let reason =
                     format!("`{name}` has no scripted team: name a bundle or a training run");
                 return Err(LearnError::Misfit(reason));

@@ -19,8 +19,8 @@ impl RuleAllocator<'_> {
     pub fn number(self, spec: &Spec) -> Result<usize, String> {
         let number = spec.rules.iter().position(|rule| rule.name == self.0);
         number.ok_or_else(|| {
-            let names: Vec<&str> = spec.rules.iter().map(|rule| rule.name).collect();
-            let (name, names) = (spec.name, names.join("`, `"));
+            let names: Vec<&str> = spec.rules.iter().map(|rule| &*rule.name).collect();
+            let (name, names) = (&spec.name, names.join("`, `"));
             format!("`{name}` has no rule `{}` of allocation; it has `{names}`", self.0)
         })
     }

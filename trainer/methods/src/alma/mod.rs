@@ -293,7 +293,7 @@ mod tests {
         let mut spec = Spec {
             shape: Shape { agents: 2, entities: 4, tasks: 2, actions: 3, features: 2 },
             rewards: Rewards { tasks: true, agents: false },
-            rules: &[Rule { name: "nearest", about: "" }],
+            rules: vec![Rule::new("nearest", "")],
             ..Spec::default()
         };
         assert_eq!(misfit(&spec), None);
@@ -311,7 +311,7 @@ mod tests {
         paper.allocation.by = "farthest".to_owned();
         let refused = Config::Windows(Box::new(paper)).check_rules(&spec).unwrap_err();
         assert!(refused.to_string().contains("it has `nearest`"), "{refused}");
-        spec.rules = &[];
+        spec.rules.clear();
         assert!(misfit(&spec).is_some_and(|lack| lack.contains("no rule")));
         spec.shape.tasks = 0;
         assert!(misfit(&spec).is_some_and(|lack| lack.contains("no subtasks")));

@@ -39,7 +39,7 @@ impl Orchard {
         let features = if is_told { 3 + TREES } else { 3 };
         let ripe = (0..TREES).map(|tree| format!("is-ripe-{tree}"));
         let spec = Spec {
-            name: "orchard",
+            name: "orchard".into(),
             shape: Shape { agents: PICKERS, entities, tasks: 1, actions: 1 + TREES, features },
             features: own.map(str::to_owned).into_iter().chain(ripe).take(features).collect(),
             actions: std::iter::once("wait".to_owned()).chain(aimed).collect(),
@@ -47,7 +47,7 @@ impl Orchard {
             pairs: 3..features,
             safe_action: Some(0),
             rewards: Rewards { tasks: true, agents: false },
-            rules: &[Rule { name: "together", about: "Everybody picks" }],
+            rules: vec![Rule::new("together", "Everybody picks")],
             row_entries: 2,
             state_bytes: 4,
             episode_limit: STEPS.into(),

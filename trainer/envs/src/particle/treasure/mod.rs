@@ -97,24 +97,13 @@ impl Scenario for TreasureCollection {
     type World = Hoard;
 
     const METRICS: &'static [Metric] = &[
-        Metric {
-            name: "treasures",
-            unit: "treasures",
-            about: "treasures that were taken",
-            is_reported: true,
-        },
-        Metric {
-            name: "deliveries",
-            unit: "treasures",
-            about: "treasures that were brought to their bank",
-            is_reported: true,
-        },
-        Metric {
-            name: "collisions",
-            unit: "pairs",
-            about: "pairs of collectors that touch, summed over steps",
-            is_reported: true,
-        },
+        Metric::reported("treasures", "treasures", "treasures that were taken"),
+        Metric::reported("deliveries", "treasures", "treasures that were brought to their bank"),
+        Metric::reported(
+            "collisions",
+            "pairs",
+            "pairs of collectors that touch, summed over steps",
+        ),
     ];
 
     fn roles(&self) -> Vec<Role> {

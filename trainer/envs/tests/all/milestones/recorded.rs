@@ -133,7 +133,8 @@ fn replay<G: Game>(path: &Path) -> usize {
         check_state(&grids, ["vo", "va", "aff1"].map(|name| &want[name]), &at);
     }
     for (metric, value) in grids.spec().metrics.iter().zip(grids.episode(0).metrics).skip(1) {
-        let is = names.contains(&metric.name).then(|| fired_ever.contains(metric.name));
+        let name = &*metric.name;
+        let is = names.contains(&name).then(|| fired_ever.contains(name));
         assert_eq!(value, is.map(|is| f64::from(u8::from(is))), "{}", metric.name);
     }
     let rows = episode["final"]["grid"].as_array().unwrap().iter();

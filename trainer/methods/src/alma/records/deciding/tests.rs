@@ -81,8 +81,8 @@ fn an_episode_is_decided_by_whom_the_run_asks_for() {
 #[test]
 fn the_first_rules_stand_in() {
     let stand_ins = |names: &'static [&'static str]| {
-        let rules = names.iter().map(|name| Rule { name, about: "" }).collect::<Vec<_>>();
-        let spec = Spec { rules: rules.leak(), ..toy().spec().clone() };
+        let rules = names.iter().map(|name| Rule::new(name, "")).collect();
+        let spec = Spec { rules, ..toy().spec().clone() };
         let deciding = Deciding::new(&Config::default(), &spec);
         let mut episode = Decisions::new(0);
         let mut random = generator(1, Purpose::Rollout, 0);

@@ -57,16 +57,15 @@ pub(in crate::alma::records) struct Toy {
 }
 
 pub(in crate::alma::records) fn toy() -> Toy {
-    let rule = |name| Rule { name, about: "" };
     let shape =
         Shape { agents: AGENTS, entities: AGENTS + SITES, tasks: SITES, actions: 3, features: 3 };
     let spec = Spec {
-        name: "street",
+        name: "street".into(),
         shape,
         rewards: Rewards { tasks: true, agents: false },
         turns: 2,
         // Everybody to the last site, to the nearest, or to the first.
-        rules: Box::leak(Box::new(["coordinated", "heuristic", "random"].map(rule))),
+        rules: ["coordinated", "heuristic", "random"].map(|name| Rule::new(name, "")).to_vec(),
         relations: DOORS.into(),
         row_entries: 3,
         state_bytes: 1 + AGENTS + 2 * SITES,
