@@ -3,8 +3,8 @@
 //! The nearest whole numbers are not the best: what counts is the error of a product, and inputs that go together let
 //! one weight make up for another. So weights are rounded for the second moments of what products are given on
 //! observations of the real environment, after scales were moved between neighbours ([`equalise`]). Products are rounded
-//! in the order of a decision, each for what those before it, rounded, really give; and every bias is moved so that the
-//! mean of its output stays what it was.
+//! in the order of a decision, each for what those before it, rounded, really give: its weights are first fitted so that it
+//! makes up for their errors. Every bias is moved so that the mean of its output stays what it was.
 //!
 //! Everything is computed in a fixed order, so that every machine has the same plan.
 
@@ -37,19 +37,19 @@ pub(crate) fn round(products: &Products, examples: &Recording) -> Vec<Rounded> {
     let seen: Vec<Observation<'_>> = examples.observations().step_by(every).collect();
     let mut exact = products.clone();
     equalise(&mut exact);
-    let wanted = moments(&exact, &seen, EMBED..exact.layers.len());
     let mut so_far = exact.clone();
     let mut rounded = Vec::new();
     for stage in exact.stages() {
-        let given = moments(&so_far, &seen, stage.clone());
+        let given = moments([&exact, &so_far], &seen, stage.clone());
         for (index, given) in stage.zip(given) {
             let layer = &exact.layers[index];
             // No bias makes up for the mean error of absorbed keys; that of the output makes up for the values' one.
-            let is_made_up_for = !exact.keys().contains(&index);
-            let second = if is_made_up_for { given.around_mean() } else { given.second() };
-            let mut whole = Rounded::for_moments(layer, &second);
+            let around_mean = !exact.keys().contains(&index);
+            let second = given.second(around_mean);
+            let fitted = whole::fitted(layer, &second, &given.drift(around_mean));
+            let mut whole = Rounded::for_moments(&fitted, &second);
             if exact.has_bias(index) {
-                make_up(&mut whole, layer, &wanted[index].mean(), &given.mean());
+                make_up(&mut whole, layer, &given.mean(&given.wanted), &given.mean(&given.sums));
             }
             so_far.layers[index] = whole.layer(layer.relu);
             rounded.push(whole);
@@ -72,14 +72,27 @@ fn make_up(whole: &mut Rounded, layer: &Layer, wanted: &[f64], given: &[f64]) {
     }
 }
 
-/// What some of the products are given.
-fn moments(products: &Products, seen: &[Observation<'_>], of: Range<usize>) -> Vec<Moments> {
-    let inputs = |index: usize| products.layers[index].matrix.inputs;
+/// What some of the products are given: in the exact network, and in the one that is rounded so far.
+fn moments(
+    [exact, so_far]: [&Products; 2],
+    seen: &[Observation<'_>],
+    of: Range<usize>,
+) -> Vec<Moments> {
+    let inputs = |index: usize| so_far.layers[index].matrix.inputs;
     let mut moments: Vec<Moments> = of.clone().map(|index| Moments::new(inputs(index))).collect();
+    let mut wanted = Vec::new();
     for observation in seen {
-        products.follow(observation, of.end, |index, input| {
+        exact.follow(observation, of.end, |index, input| {
             if of.contains(&index) {
-                moments[index - of.start].add(input);
+                wanted.push(input.to_vec());
+            }
+        });
+        let mut wanted = wanted.drain(..);
+        so_far.follow(observation, of.end, |index, input| {
+            if of.contains(&index)
+                && let Some(wanted) = wanted.next()
+            {
+                moments[index - of.start].add(&wanted, input);
             }
         });
     }
@@ -176,57 +189,90 @@ impl Scaled for Layer {
 #[derive(Clone, Debug)]
 struct Moments {
     count: usize,
+    /// Sums of the inputs x in the exact network.
+    wanted: Vec<f64>,
+    /// Sums of the inputs y behind rounded products.
     sums: Vec<f64>,
-    /// Sums of x_i x_j, `[inputs, inputs]`, of j up to i.
+    /// Sums of y_i y_j, `[inputs, inputs]`, of j up to i.
     products: Vec<f64>,
+    /// Sums of (x_i - y_i) y_j, `[inputs, inputs]`.
+    drifts: Vec<f64>,
 }
 
 impl Moments {
     fn new(inputs: usize) -> Self {
-        Self { count: 0, sums: vec![0.0; inputs], products: vec![0.0; inputs * inputs] }
+        let [wanted, sums] = [0, 1].map(|_| vec![0.0; inputs]);
+        let [products, drifts] = [0, 1].map(|_| vec![0.0; inputs * inputs]);
+        Self { count: 0, wanted, sums, products, drifts }
     }
 
     /// Adds one input; one that is too large for a number is left out, as a plan refuses it.
-    fn add(&mut self, input: &[f32]) {
-        if input.iter().any(|value| !value.is_finite()) {
+    fn add(&mut self, wanted: &[f32], input: &[f32]) {
+        if input.iter().chain(wanted).any(|value| !value.is_finite()) {
             return;
         }
         self.count += 1;
-        let rows = self.products.chunks_exact_mut(input.len().max(1));
-        for (place, ((value, sum), row)) in input.iter().zip(&mut self.sums).zip(rows).enumerate() {
-            let value = f64::from(*value);
-            if value == 0.0 {
-                continue;
+        let width = input.len();
+        for (place, (wanted, value)) in wanted.iter().zip(input).enumerate() {
+            let (wanted, value) = (f64::from(*wanted), f64::from(*value));
+            self.wanted[place] += wanted;
+            self.sums[place] += value;
+            if value != 0.0 {
+                let row = &mut self.products[place * width..][..=place];
+                row.iter_mut()
+                    .zip(input)
+                    .for_each(|(sum, other)| *sum += value * f64::from(*other));
             }
-            *sum += value;
-            for (product, other) in row.iter_mut().zip(input).take(place + 1) {
-                *product += value * f64::from(*other);
+            let missing = wanted - value;
+            if missing != 0.0 {
+                let row = &mut self.drifts[place * width..][..width];
+                row.iter_mut()
+                    .zip(input)
+                    .for_each(|(sum, other)| *sum += missing * f64::from(*other));
             }
         }
     }
 
-    /// The mean of every input.
-    fn mean(&self) -> Vec<f64> {
-        self.sums.iter().map(|sum| sum / self.count.max(1) as f64).collect()
+    /// The mean of sums.
+    fn mean(&self, sums: &[f64]) -> Vec<f64> {
+        sums.iter().map(|sum| sum / self.count.max(1) as f64).collect()
     }
 
-    /// The mean of x xᵀ, row by row.
-    fn second(&self) -> Vec<Vec<f64>> {
+    /// The mean of y yᵀ, row by row; around the mean, which is what is left of errors whose mean is made up for.
+    fn second(&self, around_mean: bool) -> Vec<Vec<f64>> {
         let width = self.sums.len();
         let at = |row: usize, column: usize| {
             let (row, column) = (row.max(column), row.min(column));
             self.products[row * width + column] / self.count.max(1) as f64
         };
-        (0..width).map(|row| (0..width).map(|column| at(row, column)).collect()).collect()
-    }
-
-    /// The same around the mean: what is left of errors whose mean is made up for.
-    fn around_mean(&self) -> Vec<Vec<f64>> {
-        let (mean, mut moments) = (self.mean(), self.second());
-        for (row, of_row) in moments.iter_mut().zip(&mean) {
-            row.iter_mut().zip(&mean).for_each(|(moment, of_column)| *moment -= of_row * of_column);
+        let mut moments: Vec<Vec<f64>> =
+            (0..width).map(|row| (0..width).map(|column| at(row, column)).collect()).collect();
+        if around_mean {
+            let mean = self.mean(&self.sums);
+            subtract(&mut moments, &mean, &mean);
         }
         moments
+    }
+
+    /// The mean of (x - y) yᵀ, likewise.
+    fn drift(&self, around_mean: bool) -> Vec<Vec<f64>> {
+        let width = self.sums.len();
+        let mut drift: Vec<Vec<f64>> =
+            self.drifts.chunks_exact(width.max(1)).map(|row| self.mean(row)).collect();
+        if around_mean {
+            let mean = self.mean(&self.sums);
+            let missing: Vec<f64> =
+                self.mean(&self.wanted).iter().zip(&mean).map(|(x, y)| x - y).collect();
+            subtract(&mut drift, &missing, &mean);
+        }
+        drift
+    }
+}
+
+/// Takes a bᵀ from a matrix.
+fn subtract(matrix: &mut [Vec<f64>], a: &[f64], b: &[f64]) {
+    for (row, a) in matrix.iter_mut().zip(a) {
+        row.iter_mut().zip(b).for_each(|(value, b)| *value -= a * b);
     }
 }
 
@@ -405,15 +451,20 @@ mod tests {
     fn moments_are_those_of_the_inputs() {
         let mut moments = Moments::new(2);
         for input in [[1.0, 2.0], [3.0, 0.0], [f32::INFINITY, 1.0], [2.0, -5.0]] {
-            moments.add(&input);
+            moments.add(&[input[0] + 1.0, input[1]], &input);
         }
-        assert_eq!(moments.mean(), [2.0, -1.0]);
+        assert_eq!(
+            (moments.mean(&moments.sums), moments.mean(&moments.wanted)),
+            (vec![2.0, -1.0], vec![3.0, -1.0])
+        );
         let third = 1.0 / 3.0;
         let close = |got: Vec<Vec<f64>>, want: [[f64; 2]; 2]| {
             let pairs = got.concat().into_iter().zip(want.concat());
             assert!(pairs.into_iter().all(|(got, want)| (got - want).abs() < 1e-12), "{got:?}");
         };
-        close(moments.second(), [[14.0 * third, -8.0 * third], [-8.0 * third, 29.0 * third]]);
-        close(moments.around_mean(), [[2.0 * third, -2.0 * third], [-2.0 * third, 26.0 * third]]);
+        close(moments.second(false), [[14.0 * third, -8.0 * third], [-8.0 * third, 29.0 * third]]);
+        close(moments.second(true), [[2.0 * third, -2.0 * third], [-2.0 * third, 26.0 * third]]);
+        close(moments.drift(false), [[2.0, -1.0], [0.0, 0.0]]);
+        close(moments.drift(true), [[0.0; 2]; 2]);
     }
 }

@@ -81,6 +81,27 @@ impl Rounded {
     }
 }
 
+/// The layer that gives, on inputs y behind rounded products, what `layer` gives on the exact ones x, as far as least squares
+/// can: its weights are w + (E y yᵀ)⁻¹ E y (x - y)ᵀ w. `second` is E y yᵀ, `drift` E (x - y) yᵀ.
+pub(crate) fn fitted(layer: &Layer, second: &[Vec<f64>], drift: &[Vec<f64>]) -> Layer {
+    let Matrix { outputs, values, .. } = &layer.matrix;
+    let form = Form::of(second);
+    let mut fitted = layer.clone();
+    for output in 0..*outputs {
+        let weights = values.iter().skip(output).step_by(*outputs);
+        let mut missing = vec![0.0; second.len()];
+        for (weight, row) in weights.zip(drift) {
+            missing.iter_mut().zip(row).for_each(|(sum, drift)| *sum += f64::from(*weight) * drift);
+        }
+        let change = form.solve(&missing);
+        let column = fitted.matrix.values.iter_mut().skip(output).step_by(*outputs);
+        column
+            .zip(change)
+            .for_each(|(weight, change)| *weight = (f64::from(*weight) + change) as f32);
+    }
+    fitted
+}
+
 /// The size of the largest weight of each output, 0 where it counts for nothing.
 fn largest(matrix: &Matrix) -> impl Iterator<Item = f32> + use<> {
     let mut largest = vec![0.0_f32; matrix.outputs];
@@ -109,6 +130,21 @@ impl Form {
         }
         let root = cholesky(&moments);
         Self { moments, root }
+    }
+
+    /// The x of moments x = wanted.
+    fn solve(&self, wanted: &[f64]) -> Vec<f64> {
+        let mut half: Vec<f64> = Vec::with_capacity(wanted.len());
+        for (row, wanted) in self.root.iter().zip(wanted) {
+            half.push((wanted - dot(row, &half)) / row[half.len()]);
+        }
+        let mut found = half;
+        for place in (0..found.len()).rev() {
+            let rest: f64 =
+                (place + 1..found.len()).map(|row| self.root[row][place] * found[row]).sum();
+            found[place] = (found[place] - rest) / self.root[place][place];
+        }
+        found
     }
 
     /// Whole numbers for weights that count steps, and the mean square error that they leave.
@@ -264,6 +300,20 @@ mod tests {
                 assert!(error(&form, &wanted, &other) >= found - 1e-9, "seed {seed}");
             }
         }
+    }
+
+    #[test]
+    fn a_fitted_layer_makes_up_for_errors_of_its_inputs() {
+        let matrix = Matrix { inputs: 2, outputs: 1, values: vec![0.5, -2.0] };
+        let layer = Layer { bias: vec![0.0], relu: false, matrix };
+        // x = (y0 + y1 / 4, y1 / 2), so that 0.5 y0 - 0.875 y1 are wanted.
+        let second = vec![vec![4.0, 1.0], vec![1.0, 3.0]];
+        let drift = vec![vec![0.25, 0.75], vec![-0.5, -1.5]];
+        let got = fitted(&layer, &second, &drift).matrix.values;
+        // Damping leaves a hundredth.
+        assert!((got[0] - 0.5).abs() < 0.02 && (got[1] + 0.875).abs() < 0.02, "{got:?}");
+        let unmoved = vec![vec![0.0; 2]; 2];
+        assert_eq!(fitted(&layer, &second, &unmoved), layer);
     }
 
     #[test]
