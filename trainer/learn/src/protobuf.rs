@@ -38,12 +38,10 @@ impl Message {
         self
     }
 
-    /// A text field.
     pub(crate) fn text(self, field: u32, value: &str) -> Self {
         self.bytes(field, value.as_bytes())
     }
 
-    /// A field that is a message itself.
     pub(crate) fn message(self, field: u32, value: &Message) -> Self {
         self.bytes(field, &value.0)
     }

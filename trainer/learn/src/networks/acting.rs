@@ -10,7 +10,7 @@ use sortie_nn::tape::Tape;
 use super::agent::EntityAgent;
 use super::batch::EntityBatch;
 use crate::act::{Act, Ask, Scenes};
-use crate::error::LearnError;
+use crate::error::Result;
 
 /// The available action of the highest utility, the first of several.
 pub fn best(utilities: &[f32], available: ActionSet) -> usize {
@@ -184,7 +184,7 @@ impl<'a> Greedy<'a> {
 }
 
 impl Act for Greedy<'_> {
-    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<()> {
         self.acting.look(scenes);
         self.acting.choose(self.agents, self.weights, actions);
         Ok(())
