@@ -18,7 +18,6 @@ pub struct Measured {
     pub evaluation: Evaluation,
 }
 
-/// The model card.
 pub(super) fn card(
     run: &MethodRun<'_>,
     measured: &[Measured],

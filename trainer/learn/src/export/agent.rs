@@ -26,7 +26,6 @@ pub fn agent_onnx(network: &AgentNetwork<'_>) -> Result<Vec<u8>, ExportError> {
     Ok(graph.into_model("agent", DOC, &agent_metadata(network)))
 }
 
-/// The inputs of every agent's graph.
 const INPUTS: Inputs<'_> = Inputs { rows: "entities", own: "self_index", visible: "visible" };
 
 /// What every agent's graph says of itself.
@@ -53,7 +52,6 @@ fn begin(network: &AgentNetwork<'_>) -> Result<Graph, ExportError> {
     Ok(graph)
 }
 
-/// The metadata that every agent has.
 fn agent_metadata(network: &AgentNetwork<'_>) -> Vec<(&'static str, String)> {
     let sizes = [
         ("sortie.features", network.features),

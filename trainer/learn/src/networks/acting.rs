@@ -159,7 +159,6 @@ impl Acting {
         }
     }
 
-    /// Keeps what every team remembers now.
     fn keep(&mut self, width: usize) {
         let memories = self.memory.chunks_exact((self.slots * width).max(1));
         for ((instance, _), memory) in self.instances.iter().zip(memories) {

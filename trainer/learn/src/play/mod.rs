@@ -199,7 +199,6 @@ struct Recent {
 }
 
 impl Recent {
-    /// An episode ended.
     pub(super) fn add(&mut self, metrics: Vec<Option<f64>>) {
         self.episodes.truncate(LAST - 1);
         self.episodes.push_front(metrics);

@@ -83,7 +83,6 @@ pub struct Reached {
     pub max: f64,
 }
 
-/// How one run did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct RunSummary {
     label: String,

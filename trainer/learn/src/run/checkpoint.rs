@@ -30,7 +30,6 @@ use crate::error::{LearnError, Result};
 const FORMAT: u32 = 6;
 /// The oldest version whose networks are still read; nobody can go on from it.
 const READABLE: u32 = 3;
-/// Checkpoints that are kept.
 const KEPT: usize = 2;
 /// What the name of a checkpoint ends with while it is written.
 const UNFINISHED: &str = "unfinished";

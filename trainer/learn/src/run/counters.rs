@@ -65,14 +65,12 @@ pub struct EpisodeCounts {
 /// Sums over the updates since the last evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Updates {
-    /// How many.
     pub(crate) updates: u64,
     loss: f64,
     gradient_norm: f64,
 }
 
 impl Updates {
-    /// Adds one.
     pub(crate) fn add(&mut self, report: UpdateReport) {
         self.updates += 1;
         self.loss += report.loss;
@@ -130,7 +128,6 @@ pub(crate) struct Counters {
     pub(crate) updates: Level<u64>,
     /// Decisions before the window.
     pub(crate) decisions: u64,
-    /// Environment steps of the next evaluation.
     pub(crate) next_evaluation: u64,
     /// Seconds since the run began, interruptions left out.
     pub(crate) wall_s: f64,
@@ -216,7 +213,6 @@ pub(crate) struct Clock {
 }
 
 impl Clock {
-    /// A clock that starts now.
     pub(crate) fn start() -> Self {
         let cpu = clock_gettime(ClockId::ProcessCPUTime);
         Self { wall: Instant::now(), cpu_s: cpu.tv_sec as f64 + cpu.tv_nsec as f64 * 1e-9 }

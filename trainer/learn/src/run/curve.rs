@@ -73,7 +73,6 @@ pub(super) fn to_lines(curve: &[CurvePoint]) -> serde_json::Result<String> {
     Ok(text)
 }
 
-/// Reads what [`to_lines`] wrote.
 pub(super) fn from_lines(text: &str) -> serde_json::Result<Vec<CurvePoint>> {
     text.lines().map(serde_json::from_str).collect()
 }
@@ -83,7 +82,6 @@ pub(super) fn write_lines<S: Serializer>(curve: &[CurvePoint], to: S) -> Result<
     to_lines(curve).map_err(ser::Error::custom)?.serialize(to)
 }
 
-/// Reads what [`write_lines`] wrote.
 pub(super) fn read_lines<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<CurvePoint>, D::Error> {
     from_lines(&String::deserialize(from)?).map_err(de::Error::custom)
 }

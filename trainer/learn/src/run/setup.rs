@@ -134,7 +134,6 @@ impl Setup {
         Self::from_table(method, configuration::parsed(text)?)
     }
 
-    /// Reads a file's table.
     pub(crate) fn from_table(method: &str, mut table: Table) -> Result<Self> {
         rename_older(&mut table);
         let mut take = |name: &str| {
@@ -293,7 +292,6 @@ pub fn keys_in(text: &str) -> Result<Vec<String>> {
     Ok(by_key(&configuration::parsed(text)?).into_keys().collect())
 }
 
-/// All values of a table by their keys.
 fn by_key(table: &Table) -> BTreeMap<String, Value> {
     let mut values = BTreeMap::new();
     flatten("", table.clone(), &mut values);

@@ -88,17 +88,15 @@ pub(crate) struct AbsorbedAttention {
     d_scores: Vec<f32>,
 }
 
-/// The tensors of a backward pass: those of the forward pass, and their gradients.
+/// The tensors of a backward pass: those of the forward pass, and their gradients, of which that of the matrices is added to
+/// and the others are overwritten.
 #[derive(Debug)]
 pub(crate) struct AbsorbedBackward<'a> {
     pub(crate) queries: &'a [f32],
     pub(crate) entities: &'a [f32],
     pub(crate) d_output: &'a [f32],
-    /// Overwritten.
     pub(crate) d_queries: &'a mut [f32],
-    /// Overwritten.
     pub(crate) d_entities: &'a mut [f32],
-    /// Added to.
     pub(crate) d_keys_values: &'a mut [f32],
 }
 

@@ -48,12 +48,10 @@ const DASHES: [Option<(u32, u32)>; 4] = [None, Some((18, 8)), Some((6, 6)), Some
 pub(crate) type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(crate) type Drawn = Result<(), DrawingAreaErrorKind<io::Error>>;
 
-/// The colour of the label at a place of the order.
 fn colour(index: usize) -> RGBColor {
     COLOURS[index % COLOURS.len()]
 }
 
-/// The dash of the label at a place of the order.
 fn dash(index: usize) -> Option<(u32, u32)> {
     DASHES[index % DASHES.len()]
 }
