@@ -155,7 +155,6 @@ mod tests {
     use sortie_bundle::{OwnedAllocationState, POINTING_PLANS};
     use sortie_core::plan::AlignedBytes;
     use sortie_envs::{Random, open};
-    use sortie_learn::subtasks::allocation_state_after;
 
     use super::*;
 
@@ -234,7 +233,7 @@ mod tests {
         }
 
         fn seen(&self) -> OwnedAllocationState {
-            allocation_state_after(&*self.world, &self.state(), &self.in_force)
+            allocation_state_turned(&*self.world, (&self.state(), &self.in_force), 0)
         }
 
         /// What is given, and whether that was the end.

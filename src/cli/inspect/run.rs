@@ -48,7 +48,7 @@ pub(super) fn inspect(folder: &Path, json: bool) -> Outcome {
     print_evaluations(&run);
     say!();
     let points: Vec<(f64, f64)> =
-        run.curve().iter().map(|point| (point.env_steps, point.of(run.score))).collect();
+        run.curve.iter().map(|point| (point.env_steps, point.of(run.score))).collect();
     let width = usize::from(Term::stdout().size().1);
     for line in terminal_curve(&points, run.score, width, CURVE_HEIGHT) {
         say!("{line}");
@@ -110,7 +110,7 @@ fn print_evaluations(run: &RunRecord) {
         Score::Return => &["return"],
     };
     let mut table = Table::new(&[&["steps", "wall", "CPU"], figures, &["loss"]].concat());
-    for (row, point) in run.rows.iter().zip(run.curve()).skip(hidden) {
+    for (row, point) in run.rows.iter().zip(&run.curve).skip(hidden) {
         let number = |name: &str, places: usize| {
             row.number(name).map_or(String::new(), |value| format!("{value:.places$}"))
         };

@@ -2,9 +2,9 @@
 
 use console::Term;
 use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use sortie_learn::Session;
 use sortie_learn::evaluate::{Evaluation, Score};
-use sortie_learn::run::{CurvePoint, Observer, Progress, RunResult, TrainingPoint};
+use sortie_learn::run::{CurvePoint, Observer, RunResult, TrainingPoint};
+use sortie_learn::{Now, Session};
 
 use crate::output::{Common, print_json, say, tell};
 use crate::terminal::terminal_curve;
@@ -115,7 +115,7 @@ fn place(score: Score, point: &CurvePoint) -> (f64, f64) {
 }
 
 impl Observer for Reporter {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: Now) {
         self.bar.set_position(progress.env_steps);
     }
 

@@ -2,7 +2,7 @@
 
 use sortie_envs::{Environment, Random};
 
-use crate::error::LearnError;
+use crate::error::Result;
 
 /// A state in which a team is to act.
 #[derive(Clone, Copy, Debug)]
@@ -72,21 +72,16 @@ pub struct Head {
 /// What chooses the actions of all agents, the best that it knows.
 pub trait Act {
     /// Writes the actions that it is asked for.
-    ///
-    /// # Errors
-    /// The team cannot decide.
-    fn act(&mut self, ask: Ask<'_>) -> Result<(), LearnError>;
+    fn act(&mut self, ask: Ask<'_>) -> Result<()>;
 
     /// `[A]`: the subtask that each agent of an instance acted for last, 255 for none; empty where there are none.
-    fn allocation(&self, instance: usize) -> &[u8] {
-        let _ = instance;
+    fn allocation(&self, _instance: usize) -> &[u8] {
         &[]
     }
 
     /// `[scenes, A]`: what the agents think where these are their actions, for whoever looks on; empty where the team
     /// does not tell.
-    fn thoughts(&mut self, scenes: &Scenes<'_>, actions: &[u16]) -> Vec<Thought> {
-        let _ = (scenes, actions);
+    fn thoughts(&mut self, _scenes: &Scenes<'_>, _actions: &[u16]) -> Vec<Thought> {
         Vec::new()
     }
 

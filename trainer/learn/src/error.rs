@@ -110,6 +110,9 @@ fn at_line(line: Option<usize>) -> String {
     line.map_or(String::new(), |line| format!("line {line}: "))
 }
 
+/// What may go wrong as [`LearnError`] says.
+pub type Result<T, E = LearnError> = std::result::Result<T, E>;
+
 impl LearnError {
     /// Passes on what an environment says.
     pub fn environment(error: impl std::error::Error + Send + Sync + 'static) -> Self {

@@ -92,33 +92,32 @@ impl Evaluation {
             let sum: f64 = parts.iter().map(|part| value(part) * part.episodes as f64).sum();
             sum / episodes.max(1) as f64
         };
+        let mut failures = BTreeMap::<String, usize>::new();
+        let mut by_team = BTreeMap::<String, TeamSuccess>::new();
+        for part in parts {
+            for (cause, count) in &part.failures {
+                *failures.entry(cause.clone()).or_default() += count;
+            }
+            for (team, success) in &part.by_team {
+                let sum = by_team.entry(team.clone()).or_default();
+                sum.episodes += success.episodes;
+                sum.solved += success.solved;
+            }
+        }
+        let solved = by_team.values().map(|team| team.solved).sum::<usize>();
         let return_mean = mean(|part| part.return_mean);
-        let mut pooled = Self {
+        Self {
             episodes,
-            success: 0.0,
-            success_ci95: [0.0; 2],
+            success: solved as f64 / episodes.max(1) as f64,
+            success_ci95: wilson_interval(solved, episodes),
             return_mean,
             return_sd: return_sd(parts, return_mean, episodes),
             length_mean: mean(|part| part.length_mean),
             timeouts: mean(|part| part.timeouts),
             metrics: metrics(parts),
-            failures: [].into(),
-            by_team: [].into(),
-        };
-        for part in parts {
-            for (cause, count) in &part.failures {
-                *pooled.failures.entry(cause.clone()).or_default() += count;
-            }
-            for (team, success) in &part.by_team {
-                let sum = pooled.by_team.entry(team.clone()).or_default();
-                sum.episodes += success.episodes;
-                sum.solved += success.solved;
-            }
+            failures,
+            by_team,
         }
-        let solved = pooled.by_team.values().map(|team| team.solved).sum();
-        pooled.success = solved as f64 / episodes.max(1) as f64;
-        pooled.success_ci95 = wilson_interval(solved, episodes);
-        pooled
     }
 }
 
@@ -184,30 +183,21 @@ impl Score {
 
     /// What tables call it.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Success => "success",
-            Self::Return => "return",
-        }
+        self.pick("success", "return")
     }
 
     /// What files call it.
     pub fn key(self) -> &'static str {
-        match self {
-            Self::Success => "success",
-            Self::Return => "return_mean",
-        }
+        self.pick("success", "return_mean")
     }
 
     /// What an axis says of it.
     pub fn about(self) -> &'static str {
-        match self {
-            Self::Success => "share of solved episodes",
-            Self::Return => "mean return",
-        }
+        self.pick("share of solved episodes", "mean return")
     }
 
-    /// Which of the two numbers it is.
-    pub fn pick(self, success: f64, return_mean: f64) -> f64 {
+    /// Which of the two it is.
+    pub fn pick<T>(self, success: T, return_mean: T) -> T {
         match self {
             Self::Success => success,
             Self::Return => return_mean,
@@ -216,10 +206,8 @@ impl Score {
 
     /// A value as text, to as many places as say something.
     pub fn text(self, value: f64) -> String {
-        match self {
-            Self::Success => format!("{value:.3}"),
-            Self::Return => format!("{value:.2}"),
-        }
+        let places = self.pick(3, 2);
+        format!("{value:.places$}")
     }
 
     /// The ends of an axis that shows these values.

@@ -47,7 +47,7 @@ use sortie_nn::optimise::{Adam, AdamRules, RmsProp, clip_norm, move_towards};
 use sortie_nn::tape::{Parameters, Pass, Tape, Var};
 
 use crate::configuration::OptimiserConfig;
-use crate::error::LearnError;
+use crate::error::Result;
 use crate::run::UpdateReport;
 use crate::state::{State, Tensor};
 
@@ -179,23 +179,6 @@ struct Lane<S> {
     space: S,
 }
 
-impl<S> Lane<S> {
-    fn descend(
-        &mut self,
-        number: usize,
-        [online, target]: [&[f32]; 2],
-        loss: impl Fn(&mut Shard<'_, S>) -> Loss,
-    ) {
-        let Self { tape, spare, gradient, reported, space } = self;
-        let mut shard = Shard { number, pass: tape.begin(online), spare, online, target, space };
-        let loss = loss(&mut shard);
-        *reported = loss.reported;
-        gradient.clear();
-        gradient.resize(online.len(), 0.0);
-        shard.pass.backward(loss.total, gradient);
-    }
-}
-
 impl<S: Default + Send> Learner<S> {
     /// Begins with these weights, in all three.
     pub fn new(online: Parameters, rules: Rules, threads: usize) -> Self {
@@ -234,7 +217,16 @@ impl<S: Default + Send> Learner<S> {
         loss: impl Fn(&mut Shard<'_, S>) -> Loss + Sync,
         shorten: impl FnOnce(&mut [f32]) -> f32,
     ) -> UpdateReport {
-        self.in_shards(shards, |weights, number, lane| lane.descend(number, weights, &loss));
+        self.in_shards(shards, |[online, target], number, lane| {
+            let Lane { tape, spare, gradient, reported, space } = lane;
+            let pass = tape.begin(online);
+            let mut shard = Shard { number, pass, spare, online, target, space };
+            let loss = loss(&mut shard);
+            *reported = loss.reported;
+            gradient.clear();
+            gradient.resize(online.len(), 0.0);
+            shard.pass.backward(loss.total, gradient);
+        });
         let Self { online, target, average, rules, optimiser, updates, lanes, .. } = self;
         let (first, others) = lanes[..shards].split_first_mut().expect("a batch has shards");
         for other in others {
@@ -286,10 +278,7 @@ impl<S: Default + Send> Learner<S> {
     }
 
     /// Names everything that later updates depend on.
-    ///
-    /// # Errors
-    /// A checkpoint has other tensors.
-    pub fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+    pub fn state(&mut self, state: &mut State<'_>) -> Result<()> {
         self.state_as(state, |part| part.to_owned())
     }
 
@@ -298,11 +287,7 @@ impl<S: Default + Send> Learner<S> {
     ///
     /// # Errors
     /// A checkpoint has other tensors.
-    pub fn state_as(
-        &mut self,
-        state: &mut State<'_>,
-        name: impl Fn(&str) -> String,
-    ) -> Result<(), LearnError> {
+    pub fn state_as(&mut self, state: &mut State<'_>, name: impl Fn(&str) -> String) -> Result<()> {
         let tensors = self.online.tensors().to_vec();
         let Self { online, target, average, .. } = self;
         state.tensors(&name("online"), &tensors, &mut online.values)?;
@@ -333,7 +318,6 @@ enum Optimiser {
 }
 
 impl Optimiser {
-    /// One that has taken no step yet.
     fn new(rule: Rule, parameters: usize) -> Self {
         match rule {
             Rule::Adam => Self::Adam(Adam::new(parameters)),
@@ -341,7 +325,6 @@ impl Optimiser {
         }
     }
 
-    /// Takes one step down the gradient.
     fn step(
         &mut self,
         rules: AdamRules,
@@ -360,7 +343,7 @@ impl Optimiser {
         state: &mut State<'_>,
         tensors: &[Tensor],
         name: impl Fn(&str) -> String,
-    ) -> Result<(), LearnError> {
+    ) -> Result<()> {
         match self {
             Self::Adam(adam) => {
                 state.tensors(&name("adam-mean"), tensors, &mut adam.mean)?;

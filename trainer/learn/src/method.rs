@@ -5,7 +5,7 @@ use std::path::Path;
 use sortie_envs::{Environment, Random, Step};
 
 use crate::act::{Act, Ask};
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 use crate::export::{DeployedAgents, Words};
 use crate::run::checkpoint::OpenFor;
 use crate::run::{Rates, Reports, RunFolder};
@@ -55,29 +55,17 @@ pub trait Method: Send {
     }
 
     /// An instance is about to start an episode; `random` is its generator.
-    fn begins(&mut self, instance: usize, random: &mut Random) {
-        let _ = (instance, random);
-    }
+    fn begins(&mut self, _instance: usize, _random: &mut Random) {}
 
     /// Writes the actions that it is asked for, trying things out.
-    ///
-    /// # Errors
-    /// The team cannot decide.
-    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<(), LearnError>;
+    fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<()>;
 
     /// Remembers a step, of all instances in turn.
-    ///
-    /// # Errors
-    /// It cannot be learned from.
-    fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError>;
+    fn remember(&mut self, transition: &Transition<'_>) -> Result<()>;
 
     /// Makes the updates that are due; returns what each of them found and how many decisions were made. Methods that learn
     /// from every step as they remember it have none.
-    ///
-    /// # Errors
-    /// Learning cannot go on.
-    fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
-        let _ = (environment, now);
+    fn update(&mut self, _environment: &dyn Environment, _now: Now) -> Result<Reports> {
         Ok(Reports::default())
     }
 
@@ -107,22 +95,19 @@ pub trait Method: Send {
     ///
     /// # Errors
     /// There is no sound checkpoint, or its networks do not fit.
-    fn take_over(&mut self, folder: &Path) -> Result<(), LearnError> {
+    fn take_over(&mut self, folder: &Path) -> Result<()> {
         let found = RunFolder::new(folder).checkpoints().newest(OpenFor::Use)?;
         self.state(&mut State::weights(&found.checkpoint))
     }
 
     /// Names everything that the run depends on from here on: what is written to checkpoints and read back.
-    ///
-    /// # Errors
-    /// What is read does not fit.
-    fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError>;
+    fn state(&mut self, state: &mut State<'_>) -> Result<()>;
 
     /// The agents as they are deployed.
     ///
     /// # Errors
     /// They cannot be deployed; the error says why.
-    fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
+    fn deployed(&self) -> Result<DeployedAgents<'_>> {
         Err(LearnError::Config("agents of this method are evaluated only".to_owned()))
     }
 

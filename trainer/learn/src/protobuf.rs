@@ -1,6 +1,5 @@
 //! The wire format of protocol buffers, as far as ONNX and event files need it.
 
-/// A message under construction.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Message(Vec<u8>);
 
@@ -16,14 +15,12 @@ impl Message {
         self
     }
 
-    /// A field of eight bytes.
     pub(crate) fn double(mut self, field: u32, value: f64) -> Self {
         self.tag(field, 1);
         self.0.extend(value.to_le_bytes());
         self
     }
 
-    /// A field of four bytes.
     pub(crate) fn float(mut self, field: u32, value: f32) -> Self {
         self.tag(field, 5);
         self.0.extend(value.to_le_bytes());
@@ -38,12 +35,10 @@ impl Message {
         self
     }
 
-    /// A text field.
     pub(crate) fn text(self, field: u32, value: &str) -> Self {
         self.bytes(field, value.as_bytes())
     }
 
-    /// A field that is a message itself.
     pub(crate) fn message(self, field: u32, value: &Message) -> Self {
         self.bytes(field, &value.0)
     }

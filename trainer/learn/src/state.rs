@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 pub use sortie_nn::tape::Tensor;
 
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 use crate::run::checkpoint::{Checkpoint, Written, in_bytes};
 
 /// Visits everything that a run depends on.
@@ -45,7 +45,7 @@ impl<'a> State<'a> {
         name: &str,
         tensors: &[Tensor],
         parameters: &mut [f32],
-    ) -> Result<(), LearnError> {
+    ) -> Result<()> {
         for tensor in tensors {
             // A vector that is kept whole is one tensor without a name of its own.
             let end =
@@ -67,7 +67,7 @@ impl<'a> State<'a> {
     ///
     /// # Errors
     /// The checkpoint has none, or another.
-    pub fn vector(&mut self, name: &str, parameters: &mut [f32]) -> Result<(), LearnError> {
+    pub fn vector(&mut self, name: &str, parameters: &mut [f32]) -> Result<()> {
         let range = 0..parameters.len();
         let whole = Tensor { name: String::new(), shape: vec![1, range.end], range };
         self.tensors(name, &[whole], parameters)
@@ -81,7 +81,7 @@ impl<'a> State<'a> {
         &mut self,
         name: &str,
         value: &mut T,
-    ) -> Result<(), LearnError> {
+    ) -> Result<()> {
         match &mut self.0 {
             Visit::Write(written) => {
                 let bytes = postcard::to_stdvec(value);
@@ -100,14 +100,11 @@ impl<'a> State<'a> {
     }
 
     /// The same of what checkpoints of earlier versions lack: it stays as it is then.
-    ///
-    /// # Errors
-    /// The value is of another kind.
     pub(crate) fn later<T: Serialize + DeserializeOwned>(
         &mut self,
         name: &str,
         value: &mut T,
-    ) -> Result<(), LearnError> {
+    ) -> Result<()> {
         match &self.0 {
             Visit::Read { values, .. } if !values.contains_key(name) => Ok(()),
             _ => self.value(name, value),
@@ -122,7 +119,7 @@ impl<'a> State<'a> {
         &mut self,
         name: &str,
         value: &mut T,
-    ) -> Result<(), LearnError> {
+    ) -> Result<()> {
         let Visit::Weights(checkpoint) = self.0 else { return self.value(name, value) };
         State::read(checkpoint, &checkpoint.state()?).value(name, value)
     }

@@ -39,7 +39,6 @@
 //! ```
 
 mod drawing;
-mod priorities;
 mod stream;
 
 use std::collections::VecDeque;
@@ -47,12 +46,11 @@ use std::collections::VecDeque;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 use crate::method::Transition;
 use crate::state::State;
 
-pub use drawing::Future;
-pub use priorities::{Priorities, importance};
+pub use drawing::{Future, Priorities, importance};
 use stream::{BLOCK, Block, Stream};
 
 /// How much is kept.
@@ -347,10 +345,7 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
     }
 
     /// Names all of it.
-    ///
-    /// # Errors
-    /// A checkpoint has none, or one of another size.
-    pub fn visit(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+    pub fn visit(&mut self, state: &mut State<'_>) -> Result<()> {
         self.visit_as(state, "trajectories")
     }
 
@@ -358,7 +353,7 @@ impl<N: Clone + Default + Serialize + DeserializeOwned> Trajectories<N> {
     ///
     /// # Errors
     /// A checkpoint has none, or one of another size.
-    pub fn visit_as(&mut self, state: &mut State<'_>, name: &str) -> Result<(), LearnError> {
+    pub fn visit_as(&mut self, state: &mut State<'_>, name: &str) -> Result<()> {
         let sizes = |it: &Self| (it.capacity, it.widths, it.streams.len());
         let own = sizes(self);
         state.value(name, self)?;

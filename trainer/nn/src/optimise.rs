@@ -2,7 +2,7 @@
 //!
 //! All of them run over flat parameter vectors.
 
-use crate::layers::wide::run_widest;
+use crate::layers::vectors::run_widest;
 
 /// Scales the gradient so that its Euclidean norm is at most `limit`; returns the norm before.
 ///

@@ -61,6 +61,12 @@ impl Key {
     ) -> Self {
         Self { name, unit, range, about }
     }
+
+    /// Range and unit.
+    pub(super) fn limits(&self) -> String {
+        let Self { unit, range, .. } = self;
+        if unit.is_empty() { range.to_string() } else { format!("{range} ({unit})") }
+    }
 }
 
 impl Range {

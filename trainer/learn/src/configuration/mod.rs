@@ -1,17 +1,16 @@
 //! Configurations as files: read, checked key by key, changed, and explained.
 
 mod define;
-mod explained;
 mod key;
 mod keys;
 
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 #[doc(hidden)]
 pub use define::{count, joined};
-pub use explained::explained;
 pub(crate) use key::find;
 use key::nearest_path;
 pub use key::{Key, Range, Section, paths};
@@ -20,16 +19,13 @@ pub use keys::{
     STEPS, WHERE, WIDEST, exploration,
 };
 
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 
 /// The keys of `train.toml` that are about the run, not its configuration.
 pub const RUN_KEYS: [&str; 4] = ["method", "version", "seed", "threads"];
 
 /// Refuses a table as [`check_table`] does, by the line of the file's text that is wrong.
-///
-/// # Errors
-/// A key is unknown, or its value outside its limits.
-pub fn check_file(text: &str, table: &Table, sections: &[Section]) -> Result<(), LearnError> {
+pub(crate) fn check_file(text: &str, table: &Table, sections: &[Section]) -> Result<()> {
     check_table("", table, sections).map_err(|error| match error {
         LearnError::Value { key, reason, .. } => {
             LearnError::Value { line: line_of(text, &key), key, reason }
@@ -39,7 +35,7 @@ pub fn check_file(text: &str, table: &Table, sections: &[Section]) -> Result<(),
 }
 
 /// The table of a file's text.
-pub fn parsed(text: &str) -> Result<Table, LearnError> {
+pub fn parsed(text: &str) -> Result<Table> {
     text.parse().map_err(|error: toml::de::Error| {
         let line = error.span().map_or(0, |span| line_at(text, span.start));
         let written = text.lines().nth(line.saturating_sub(1)).unwrap_or_default().trim();
@@ -49,12 +45,17 @@ pub fn parsed(text: &str) -> Result<Table, LearnError> {
 }
 
 /// A configuration with its values as they are written.
-pub fn table_of(config: &impl Serialize) -> Result<Table, LearnError> {
+pub fn table_of(config: &impl Serialize) -> Result<Table> {
     parsed(&to_toml(config)?)
 }
 
+/// What a file has, as a type that reads it.
+pub(crate) fn as_type<T: DeserializeOwned>(value: Value) -> Result<T> {
+    value.try_into().map_err(|error: toml::de::Error| LearnError::Config(error.message().into()))
+}
+
 /// Refuses a table with an unknown key, or a value outside the limits of its key; `within` is where it stands.
-pub fn check_table(within: &str, table: &Table, sections: &[Section]) -> Result<(), LearnError> {
+pub fn check_table(within: &str, table: &Table, sections: &[Section]) -> Result<()> {
     for (name, value) in table {
         let path = if within.is_empty() { name.clone() } else { format!("{within}.{name}") };
         match (value, find(sections, &path)) {
@@ -67,7 +68,7 @@ pub fn check_table(within: &str, table: &Table, sections: &[Section]) -> Result<
     Ok(())
 }
 
-fn check_value(path: String, key: &Key, value: &Value) -> Result<(), LearnError> {
+fn check_value(path: String, key: &Key, value: &Value) -> Result<()> {
     if key.range.holds(value) {
         return Ok(());
     }
@@ -75,8 +76,7 @@ fn check_value(path: String, key: &Key, value: &Value) -> Result<(), LearnError>
 }
 
 fn outside(path: String, key: &Key, value: String) -> LearnError {
-    let unit = if key.unit.is_empty() { String::new() } else { format!(" ({})", key.unit) };
-    let reason = format!("is {value}, must be {}{unit}", key.range);
+    let reason = format!("is {value}, must be {}", key.limits());
     LearnError::Value { line: None, key: path, reason }
 }
 
@@ -94,13 +94,10 @@ fn line_of(text: &str, path: &str) -> Option<usize> {
     loop {
         let name = names.next()?;
         let (key, value) = table.iter().find(|(key, _)| key.get_ref() == name)?;
-        if names.peek().is_none() {
-            return Some(line_at(text, key.span().start));
+        match value.get_ref() {
+            DeValue::Table(inner) if names.peek().is_some() => table = inner,
+            _ => return Some(line_at(text, key.span().start)),
         }
-        let DeValue::Table(inner) = value.get_ref() else {
-            return Some(line_at(text, key.span().start));
-        };
-        table = inner;
     }
 }
 
@@ -120,16 +117,12 @@ pub fn overlay(table: &mut Table, by: Table) {
 }
 
 /// The configuration as a file that a person can read.
-pub fn to_toml(config: &impl Serialize) -> Result<String, LearnError> {
+pub fn to_toml(config: &impl Serialize) -> Result<String> {
     toml::to_string(config).map_err(|error| LearnError::Config(error.to_string()))
 }
 
 /// A table with the value of one of its keys replaced.
-pub fn assigned(
-    sections: &[Section],
-    mut table: Table,
-    assignment: &str,
-) -> Result<Table, LearnError> {
+pub fn assigned(sections: &[Section], mut table: Table, assignment: &str) -> Result<Table> {
     let bad = |why: &str| LearnError::Config(format!("`{assignment}`: {why}"));
     let (path, text) = assignment.split_once('=').ok_or_else(|| bad("not `key=value`"))?;
     let (path, text) = (path.trim(), text.trim());
@@ -162,8 +155,39 @@ fn value_of(text: &str) -> Option<Value> {
     format!("value = {text}").parse::<Table>().ok()?.remove("value")
 }
 
+/// The values of these sections as a file with comments.
+pub fn explained(sections: &[Section], table: &Table) -> Result<String> {
+    let mut text = String::new();
+    for section in sections {
+        if !text.is_empty() {
+            text.push('\n');
+        }
+        text += &format!("# {}\n", section.about);
+        if !section.name.is_empty() {
+            text += &format!("[{}]\n", section.name);
+        }
+        if section.keys.is_empty() {
+            text += &to_toml(part(table, section)?)?;
+        }
+        for key in section.keys {
+            let Key { name, about, .. } = key;
+            let missing = || LearnError::Config(format!("`{}.{name}` has no value", section.name));
+            let value = part(table, section)?.get(*name).ok_or_else(missing)?;
+            text += &format!("# {about}\n#   {}\n{name} = {value}\n", key.limits());
+        }
+    }
+    Ok(text)
+}
+
+/// The values of a section.
+fn part<'a>(table: &'a Table, section: &Section) -> Result<&'a Table> {
+    let mut parents = section.name.split('.').filter(|parent| !parent.is_empty());
+    let inner = parents.try_fold(table, |table, parent| table.get(parent)?.as_table());
+    inner.ok_or_else(|| LearnError::Config(format!("there is no section `{}`", section.name)))
+}
+
 /// Refuses a configuration that does not hold, with what it must be.
-pub fn require(holds: bool, what: &str) -> Result<(), LearnError> {
+pub fn require(holds: bool, what: &str) -> Result<()> {
     if holds { Ok(()) } else { Err(LearnError::Config(what.to_owned())) }
 }
 

@@ -1,7 +1,5 @@
 //! The model card of a bundle.
 
-use std::fmt::Write as _;
-
 use sortie_envs::{Metric, Spec};
 
 use super::MethodRun;
@@ -20,7 +18,6 @@ pub struct Measured {
     pub evaluation: Evaluation,
 }
 
-/// The model card.
 pub(super) fn card(
     run: &MethodRun<'_>,
     measured: &[Measured],
@@ -45,26 +42,22 @@ pub(super) fn card(
     let is_allocated = run.method.subtasks().is_some();
     card += &measured_table(measured, is_allocated.then(|| run.environment.spec()));
     if !config.run.from.is_empty() {
-        // Writing to a string cannot fail, here and below.
-        let _ = writeln!(card, "\nIt began with the networks of the run `{}`.", config.run.from);
+        card += &format!("\nIt began with the networks of the run `{}`.\n", config.run.from);
     }
     if let Some(last) = run.curve.last() {
-        let _ = writeln!(
-            card,
-            "\nTraining took {} environment steps, {:.0} seconds of processor time and {:.0} seconds.",
+        card += &format!(
+            "\nTraining took {} environment steps, {:.0} seconds of processor time and {:.0} seconds.\n",
             last.env_steps, last.cpu_s, last.wall_s
         );
     }
-    let _ = writeln!(
-        card,
-        "\nMatrix products were computed with `{}`: `--set run.products={0}` repeats the run byte for byte.",
+    card += &format!(
+        "\nMatrix products were computed with `{}`: `--set run.products={0}` repeats the run byte for byte.\n",
         config.run.products
     );
     if let DeployedNetworks::Options { options, .. } = networks {
-        let _ = writeln!(
-            card,
+        card += &format!(
             "\n{:.0} % of its actions are drawn, and {:.0} % of its goals, from the seed {} that `bundle.toml` states: the \
-             same episode is the same again.",
+             same episode is the same again.\n",
             100.0 * options.action_chance,
             100.0 * options.goal_chance,
             options.seed
@@ -79,7 +72,7 @@ pub(super) fn card(
         [("Where the training departs from the dissertation", departures), ("Limits", limits)]
     {
         if !text.is_empty() {
-            let _ = write!(card, "\n## {title}\n\n{text}");
+            card += &format!("\n## {title}\n\n{text}");
         }
     }
     card
@@ -119,8 +112,7 @@ pub fn measured_table(measured: &[Measured], allocated_in: Option<&Spec>) -> Str
     let mut table = format!("| {} |\n| {rule} |\n", names.join(" | "));
     for one in measured {
         let cells: Vec<String> = columns.iter().map(|(_, cell)| cell(one)).collect();
-        // Writing to a string cannot fail.
-        let _ = writeln!(table, "| {} |", cells.join(" | "));
+        table += &format!("| {} |\n", cells.join(" | "));
     }
     table
 }

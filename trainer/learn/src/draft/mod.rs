@@ -1,8 +1,7 @@
 //! A run of any method becomes a bundle: networks, contract, golden observations, card and curve.
 
-mod allocations;
 mod card;
-mod recorder;
+mod golden;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,34 +9,25 @@ use std::path::Path;
 use sortie_bundle::files::{MOST_BYTES, read_file};
 use sortie_bundle::{
     AGENT, ALLOCATOR, AgentGraph, CARD, CONTRACT_ABI, CURVE, CURVE_DATA, ContractV1, Draft,
-    Environment as Described, FallbackAllocation, Golden, GoldenCase, GoldenEpisode, Limits,
-    Network, OPTION_GRAPHS, OPTIONS, POINTING, POINTING_PARTS, POLICY, POLICY_ROLES,
-    PROPOSAL_PARTS, PROPOSALS, PointingContract, PolicyRoles, SubtaskConditioning, TEAM_VALUE,
-    TRAINING,
+    Environment as Described, FallbackAllocation, GoldenCase, Limits, Network, OPTION_GRAPHS,
+    OPTIONS, POINTING, POINTING_PARTS, POLICY, POLICY_ROLES, PROPOSAL_PARTS, PROPOSALS,
+    PointingContract, PolicyRoles, SubtaskConditioning, TEAM_VALUE, TRAINING,
 };
-use sortie_core::Policy;
 use sortie_envs::{Environment, Shape, Spec, Split};
 
-use self::allocations::golden_allocations;
-use self::recorder::recorded_episode;
-use crate::error::LearnError;
+use self::golden::golden;
+use crate::error::{LearnError, Result};
 use crate::export::{
     AGENT_NUMBER, AgentNetwork, DeployedAgents, DeployedNetworks, ExportError, OwnRowNetworks,
     RecurrentAgent, TeamValueExport, agent_onnx, recurrent_agent_onnx, team_value_onnx,
 };
 use crate::method::Method;
-use crate::play::{PolicyTeam, evaluate};
 use crate::random::{Purpose, generator};
 use crate::run::{CurvePoint, RunDescription};
-use crate::subtasks::{
-    AllocatedTeam, AllocatorNetworks, LearnedAllocator, PolicyAgents, RuleAllocator,
-};
+use crate::subtasks::{AllocatorNetworks, LearnedAllocator};
 
 pub use card::{Measured, measured_table};
-pub use recorder::{DecoratedPolicy, EPISODES, Recorder};
-
-/// Episodes that are golden as a whole, where agents run options.
-const WHOLE_EPISODES: u64 = 3;
+pub use golden::{DecoratedPolicy, EPISODES, Recorder};
 
 /// A run of any method, as far as its bundle needs it.
 pub struct MethodRun<'a> {
@@ -61,7 +51,7 @@ pub fn draft_method(
     sizes: &[Shape],
     measured: &[Measured],
     seed: u64,
-) -> Result<Draft, LearnError> {
+) -> Result<Draft> {
     let spec = run.environment.spec();
     let DeployedAgents { networks, mut policy } = run.method.deployed()?;
     let subtasks = run.method.subtasks();
@@ -71,29 +61,31 @@ pub fn draft_method(
         contract.subtask_conditioning = SubtaskConditioning::Mask;
     }
     let diverged = |error| LearnError::format(folder, error);
-    let mut agents = networks.to_parts(spec, &contract).map_err(diverged)?;
+    let (mut network, mut parts) = networks.to_parts(spec, &contract).map_err(diverged)?;
     let (mut limits, allocator) =
         (limits(sizes), subtasks.as_ref().and_then(|it| it.allocator.as_ref()));
     if let Some(allocator) = allocator {
-        agents.add_allocator(allocator, (spec, limits), contract.hash()).map_err(diverged)?;
+        let written = allocator_parts(allocator, (spec, limits), contract.hash());
+        let (kind, graphs) = written.map_err(diverged)?;
+        parts.extend(graphs);
+        network.allocator = Some(kind.to_owned());
         if matches!(allocator.networks, AllocatorNetworks::Pointing(_)) {
-            agents.network.pointing = Some(pointing(run.environment));
+            network.pointing = Some(pointing(run.environment));
         }
         let team_max = allocator.team_max.and_then(|most| most.try_into().ok());
         limits.team_max = limits.team_max.min(team_max.unwrap_or(u16::MAX));
     }
     let golden = golden(run, &networks, &mut *policy, seed)?;
-    let mut parts = BTreeMap::from([
+    parts.extend([
         (CARD.to_owned(), card::card(run, measured, &networks).into_bytes()),
         (CURVE.to_owned(), read_part(folder, CURVE)?),
         (CURVE_DATA.to_owned(), read_part(folder, CURVE_DATA)?),
         (TRAINING.to_owned(), read_part(folder, TRAINING)?),
     ]);
-    parts.extend(agents.parts);
     Ok(Draft {
         environment: described(run.description.config.environment.to_string(), spec, &golden.cases),
         limits,
-        network: agents.network,
+        network,
         golden,
         contract,
         parts,
@@ -114,82 +106,31 @@ fn pointing(environment: &dyn Environment) -> PointingContract {
     }
 }
 
-/// What the method's own passes answer in greedy episodes.
-fn golden(
-    run: &MethodRun<'_>,
-    networks: &DeployedNetworks<'_>,
-    policy: &mut dyn Policy,
-    seed: u64,
-) -> Result<Golden, LearnError> {
-    let environment = run.environment;
-    let mut golden = Golden::default();
-    let mut recorder = Recorder::new(environment.spec().shape.features);
-    if let Some(subtasks) = run.method.subtasks() {
-        let usual = environment.spec().rules.first().map_or("", |rule| &rule.name);
-        recorder.fill(seed, |recorder, seed| {
-            let agents = Box::new(PolicyAgents::new(recorder.of(&mut *policy)));
-            let rule = Box::new(RuleAllocator(usual));
-            let mut team = AllocatedTeam::new(agents, rule, subtasks.interval);
-            evaluate(environment, &mut team, EPISODES, seed).map(drop)
-        })?;
-        golden.allocations = golden_allocations(subtasks, environment, seed)?;
-        golden.cases = recorder.cases;
-        return Ok(golden);
-    }
-    let runs_options = matches!(networks, DeployedNetworks::Options { .. });
-    recorder.fill(seed, |recorder, seed| {
-        let mut team = PolicyTeam::new(recorder.of(&mut *policy));
-        evaluate(environment, &mut team, EPISODES, seed).map(drop)
-    })?;
-    golden.cases = recorder.cases;
-    for index in 0..if runs_options { WHOLE_EPISODES } else { 0 } {
-        let mut episode = GoldenEpisode::default();
-        let mut team = PolicyTeam::new(recorded_episode(&mut *policy, &mut episode));
-        evaluate(environment, &mut team, 1, seed.wrapping_add(index))?;
-        drop(team);
-        golden.episodes.push(episode);
-    }
-    Ok(golden)
-}
+/// Graphs of networks, and what is said of their inputs where that must be, by their names in a bundle.
+type Parts = BTreeMap<String, Vec<u8>>;
 
-/// What a bundle holds of its agents' networks.
-struct AgentParts {
-    network: Network,
-    /// The graphs, and what is said of their inputs where that must be.
-    parts: BTreeMap<String, Vec<u8>>,
-}
-
-impl AgentParts {
-    /// Adds the graphs of what allocates the agents.
-    fn add_allocator(
-        &mut self,
-        allocator: &LearnedAllocator<'_>,
-        (spec, limits): (&Spec, Limits),
-        contract: u64,
-    ) -> Result<(), ExportError> {
-        let kind = match &allocator.networks {
-            AllocatorNetworks::TeamValue(layers) => {
-                let (features, relations) = (spec.shape.features, spec.relations);
-                let network = TeamValueExport { features, relations, contract, layers: **layers };
-                self.parts.insert(ALLOCATOR.to_owned(), team_value_onnx(&network)?);
-                TEAM_VALUE
-            }
-            AllocatorNetworks::Proposals(write) => {
-                let names = PROPOSAL_PARTS.map(str::to_owned);
-                self.parts.extend(names.into_iter().zip(write(contract)?));
-                PROPOSALS
-            }
-            AllocatorNetworks::Pointing(write) => {
-                let Limits { team_max, t_max, .. } = limits;
-                let names = POINTING_PARTS.map(str::to_owned);
-                let graphs = write([team_max.into(), t_max.into()], contract)?;
-                self.parts.extend(names.into_iter().zip(graphs));
-                POINTING
-            }
-        };
-        self.network.allocator = Some(kind.to_owned());
-        Ok(())
-    }
+/// What an allocator decides by: its kind and its graphs.
+fn allocator_parts(
+    allocator: &LearnedAllocator<'_>,
+    (spec, limits): (&Spec, Limits),
+    contract: u64,
+) -> Result<(&'static str, Parts), ExportError> {
+    Ok(match &allocator.networks {
+        AllocatorNetworks::TeamValue(layers) => {
+            let (features, relations) = (spec.shape.features, spec.relations);
+            let network = TeamValueExport { features, relations, contract, layers: **layers };
+            (TEAM_VALUE, [(ALLOCATOR.to_owned(), team_value_onnx(&network)?)].into())
+        }
+        AllocatorNetworks::Proposals(write) => {
+            let names = PROPOSAL_PARTS.map(str::to_owned);
+            (PROPOSALS, names.into_iter().zip(write(contract)?).collect())
+        }
+        AllocatorNetworks::Pointing(write) => {
+            let names = POINTING_PARTS.map(str::to_owned);
+            let graphs = write([limits.team_max.into(), limits.t_max.into()], contract)?;
+            (POINTING, names.into_iter().zip(graphs).collect())
+        }
+    })
 }
 
 impl DeployedNetworks<'_> {
@@ -198,7 +139,11 @@ impl DeployedNetworks<'_> {
         matches!(self, Self::Attention { network, .. } if network.inputs != features)
     }
 
-    fn to_parts(&self, spec: &Spec, contract: &ContractV1) -> Result<AgentParts, ExportError> {
+    fn to_parts(
+        &self,
+        spec: &Spec,
+        contract: &ContractV1,
+    ) -> Result<(Network, Parts), ExportError> {
         match self {
             Self::Attention { network: layers, memory } => {
                 let agent = AgentNetwork {
@@ -216,7 +161,7 @@ impl DeployedNetworks<'_> {
                 }?;
                 let agent = "masked-attention".to_owned();
                 let network = Network { agent, hidden, ..Network::default() };
-                Ok(AgentParts { network, parts: [(AGENT.to_owned(), onnx)].into() })
+                Ok((network, [(AGENT.to_owned(), onnx)].into()))
             }
             Self::OwnRow(networks) => own_row_parts(networks, spec, contract),
             Self::Options { options, graphs } => {
@@ -224,13 +169,13 @@ impl DeployedNetworks<'_> {
                 let network = Network { agent, options, ..Network::default() };
                 let names = OPTION_GRAPHS.map(|name| AgentGraph::part_of(name, AGENT));
                 let parts = names.into_iter().zip(graphs.to_onnx(contract.hash())?).collect();
-                Ok(AgentParts { network, parts })
+                Ok((network, parts))
             }
             Self::Lookup(tables) => {
                 let network = Network { agent: POLICY.to_owned(), ..Network::default() };
                 let onnx = tables.to_onnx(contract.hash())?;
                 let parts = [(AGENT.to_owned(), onnx), told_number()].into();
-                Ok(AgentParts { network, parts })
+                Ok((network, parts))
             }
         }
     }
@@ -256,7 +201,7 @@ fn own_row_parts(
     networks: &OwnRowNetworks,
     spec: &Spec,
     contract: &ContractV1,
-) -> Result<AgentParts, ExportError> {
+) -> Result<(Network, Parts), ExportError> {
     let mut network = Network { agent: POLICY.to_owned(), ..Network::default() };
     let mut parts = BTreeMap::new();
     for (index, own) in networks.networks.iter().enumerate() {
@@ -274,7 +219,7 @@ fn own_row_parts(
     if networks.told_number() {
         parts.extend([told_number()]);
     }
-    Ok(AgentParts { network, parts })
+    Ok((network, parts))
 }
 
 /// What says that graphs are told the agent's number.
@@ -342,10 +287,7 @@ pub fn limits(sizes: &[Shape]) -> Limits {
 }
 
 /// A file of a run that becomes part of its bundle.
-///
-/// # Errors
-/// It cannot be read.
-pub fn read_part(folder: &Path, name: &str) -> Result<Vec<u8>, LearnError> {
+pub fn read_part(folder: &Path, name: &str) -> Result<Vec<u8>> {
     let path = folder.join(name);
     read_file(&path, MOST_BYTES).map_err(LearnError::file(path))
 }

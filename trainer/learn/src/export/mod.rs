@@ -12,17 +12,18 @@ mod own_row;
 mod pointing_tests;
 #[cfg(test)]
 mod skip_tests;
-mod team_value;
 
 use sortie_bundle::OptionsContract;
 use sortie_core::Policy;
 
-pub use agent::{AgentNetwork, GruCell, RecurrentAgent, agent_onnx, recurrent_agent_onnx};
+pub use agent::{
+    AgentNetwork, GruCell, RecurrentAgent, TeamValueExport, agent_onnx, recurrent_agent_onnx,
+    team_value_onnx,
+};
 pub use attention::{AttentionNetwork, ExportError, Layer, Layout, Matrix, PairHead, PointingHead};
 pub use own_row::{
     AGENT_NUMBER, DenseLayer, GOAL, LookupTables, OptionGraphs, OwnRowNetwork, OwnRowNetworks,
 };
-pub use team_value::{TeamValueExport, team_value_onnx};
 
 /// Agents, and what their answers are.
 pub struct DeployedAgents<'a> {

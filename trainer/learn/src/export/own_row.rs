@@ -200,31 +200,19 @@ impl OptionGraphs {
         graph.node("values", "Add", &[&products, &bias], &[]);
         let about = "What each action is worth for the goal.";
         graph.output("values", Element::Float, &[Dim::Fixed(1), Dim::Fixed(actions)], about);
-        Ok(graph.into_model(
-            "controller",
-            "Values of actions for a goal.",
-            &metadata("policy", contract, []),
-        ))
+        let doc = "Values of actions for a goal.";
+        Ok(graph.into_model("controller", doc, &metadata("policy", contract, [])))
     }
 
     fn meta(&self, contract: u64) -> Result<Vec<u8>, ExportError> {
-        let (mut graph, sums, goals) = add_layers(&self.meta)?;
-        graph.node("values", "Identity", &[&sums], &[]);
-        let about = "What it is worth to go for each milestone.";
-        graph.output("values", Element::Float, &[Dim::Fixed(1), Dim::Fixed(goals)], about);
-        Ok(graph.into_model("meta", "Values of milestones.", &metadata("policy", contract, [])))
+        let about = ["meta", "Values of milestones.", "What it is worth to go for each milestone."];
+        of_milestones(&self.meta, contract, about, ["values", "Identity"])
     }
 
     fn affordance(&self, contract: u64) -> Result<Vec<u8>, ExportError> {
-        let (mut graph, sums, goals) = add_layers(&self.affordance)?;
-        graph.node("likelihoods", "Sigmoid", &[&sums], &[]);
-        let about = "How likely each milestone can be reached without another one before.";
-        graph.output("likelihoods", Element::Float, &[Dim::Fixed(1), Dim::Fixed(goals)], about);
-        Ok(graph.into_model(
-            "affordance",
-            "Affordances of milestones.",
-            &metadata("policy", contract, []),
-        ))
+        let likelihood = "How likely each milestone can be reached without another one before.";
+        let about = ["affordance", "Affordances of milestones.", likelihood];
+        of_milestones(&self.affordance, contract, about, ["likelihoods", "Sigmoid"])
     }
 }
 
@@ -246,13 +234,20 @@ fn add_hidden(graph: &mut Graph, layers: &[DenseLayer]) -> Result<String, Export
     Ok(from)
 }
 
-/// A graph of hidden layers and a head: the head's sums and how many they are.
-fn add_layers(layers: &[DenseLayer; 3]) -> Result<(Graph, String, usize), ExportError> {
+/// Writes layers, the last of which has an output for each milestone: what an operator makes of it.
+fn of_milestones(
+    layers: &[DenseLayer; 3],
+    contract: u64,
+    [name, doc, about]: [&str; 3],
+    [output, operator]: [&str; 2],
+) -> Result<Vec<u8>, ExportError> {
     let [first, _, head] = layers;
     let mut graph = begin(first);
     let hidden = add_hidden(&mut graph, &layers[..2])?;
     let sums = head.add_to(&mut graph, "head", (&hidden, head.inputs))?;
-    Ok((graph, sums, head.bias.len()))
+    graph.node(output, operator, &[&sums], &[]);
+    graph.output(output, Element::Float, &[Dim::Fixed(1), Dim::Fixed(head.bias.len())], about);
+    Ok(graph.into_model(name, doc, &metadata("policy", contract, [])))
 }
 
 /// Tables of answers, by agents, by what they hold, by places.

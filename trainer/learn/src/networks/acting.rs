@@ -10,7 +10,7 @@ use sortie_nn::tape::Tape;
 use super::agent::EntityAgent;
 use super::batch::EntityBatch;
 use crate::act::{Act, Ask, Scenes};
-use crate::error::LearnError;
+use crate::error::Result;
 
 /// The available action of the highest utility, the first of several.
 pub fn best(utilities: &[f32], available: ActionSet) -> usize {
@@ -159,7 +159,6 @@ impl Acting {
         }
     }
 
-    /// Keeps what every team remembers now.
     fn keep(&mut self, width: usize) {
         let memories = self.memory.chunks_exact((self.slots * width).max(1));
         for ((instance, _), memory) in self.instances.iter().zip(memories) {
@@ -184,7 +183,7 @@ impl<'a> Greedy<'a> {
 }
 
 impl Act for Greedy<'_> {
-    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<()> {
         self.acting.look(scenes);
         self.acting.choose(self.agents, self.weights, actions);
         Ok(())

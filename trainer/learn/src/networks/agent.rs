@@ -67,7 +67,7 @@ impl EntityAgent {
         let last = if memory > 0 { memory } else { width };
         let head = parameters.linear("agent.head", last, actions - targets.count, random);
         let points = targets.count > 0;
-        let reach = width + targets.pair_features;
+        let reach = targets.reach(width);
         let pointing = points.then(|| parameters.linear("agent.pointing", last, reach, random));
         Self { shape, looking, out, skip, memory: unit, head, pointing }
     }

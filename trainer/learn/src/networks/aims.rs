@@ -97,25 +97,17 @@ pub struct Aims {
     targets: Vec<usize>,
     /// The columns of agents' own rows that hold features of pairs with these.
     related: Range<usize>,
-    /// Query, row and place of every pair.
+    /// Of every pair the query, the row of its target, and where its utility stands among `[queries, targets]`.
     pairs: [Vec<u32>; 3],
     /// The features of every pair, in the same order.
     features: Vec<f32>,
 }
 
-/// Some of these pairs.
+/// Some of these pairs: the first of so many blocks.
 #[derive(Clone, Copy, Debug)]
 pub struct AimView<'a> {
-    /// Aimed actions.
-    targets: usize,
-    /// The query of each pair.
-    queries: &'a [u32],
-    /// The row of its target.
-    rows: &'a [u32],
-    /// Where their utility stands among `[queries, targets]`.
-    places: &'a [u32],
-    /// The features of each pair, one behind the other.
-    features: &'a [f32],
+    aims: &'a Aims,
+    blocks: usize,
 }
 
 impl Aims {
@@ -174,15 +166,7 @@ impl Aims {
 
     /// The first of so many blocks.
     pub(super) fn part(&self, blocks: usize) -> AimView<'_> {
-        let [queries, rows, places] = &self.pairs;
-        let (pairs, features) = (queries.len() / blocks, self.features.len() / blocks);
-        AimView {
-            targets: self.targets.len(),
-            queries: &queries[..pairs],
-            rows: &rows[..pairs],
-            places: &places[..pairs],
-            features: &self.features[..features],
-        }
+        AimView { aims: self, blocks }
     }
 }
 
@@ -190,20 +174,23 @@ impl AimView<'_> {
     /// The utilities `[queries, targets]` of aimed actions: scaled products of vectors with embeddings `[rows, width]` and,
     /// behind them, what is known of each pair; 0 where a query does not see its target.
     pub fn point(self, pass: &mut Pass<'_>, [vectors, embeddings]: [Var; 2]) -> Var {
+        let Aims { targets: aimed, pairs, features: known, .. } = self.aims;
+        let count = pairs[0].len() / self.blocks;
+        let [of_queries, rows, places] = pairs.each_ref().map(|all| &all[..count]);
         let queries = pass.size(vectors)[0];
-        let vectors = pass.gather(vectors, self.queries);
-        let mut targets = pass.gather(embeddings, self.rows);
+        let vectors = pass.gather(vectors, of_queries);
+        let mut targets = pass.gather(embeddings, rows);
         let width = pass.size(targets)[1];
         let features = pass.size(vectors)[1] - width;
         if features > 0 {
-            let pairs = pass.input(features, self.features);
+            let pairs = pass.input(features, &known[..known.len() / self.blocks]);
             targets = pass.concat(&[targets, pairs]);
         }
         let products = pass.multiply(vectors, targets);
         let products = pass.sum_columns(products);
         let products = pass.scale(products, scale(width));
-        let all = pass.scatter(products, self.places, queries * self.targets);
-        pass.reshape(all, self.targets)
+        let all = pass.scatter(products, places, queries * aimed.len());
+        pass.reshape(all, aimed.len())
     }
 }
 

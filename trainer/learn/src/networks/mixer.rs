@@ -4,6 +4,8 @@
 //! imagined utilities come from what the hypernetwork sees within and across; all else that a mixer needs
 //! comes from everything (dissertation section 5.4.1).
 
+use std::ops::Range;
+
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Var};
 
@@ -133,14 +135,13 @@ impl Mixer {
         let agents = all.known.queries();
         let imagines = pass.size(utilities)[0] > agents;
         let numbers = self.numbers(pass, all.known, imagines, utilities);
-        let mut mix = |rows: std::ops::Range<usize>| {
-            let teams = &all.numbers[..rows.len()];
+        let mut mix = |rows: Range<usize>| {
             let utilities = pass.rows(utilities, rows.clone());
-            let mixed = Mixing { all, teams, rows, agents };
+            let mixed = Mixing { all, teams: &all.numbers[..rows.len()], rows, utilities };
             match self.shape.kind {
-                MixerKind::Sum => pass.scatter(utilities, teams, all.sizes.len()),
-                MixerKind::Linear => self.linear(pass, mixed, utilities, &numbers),
-                MixerKind::Qmix => self.qmix(pass, mixed, utilities, &numbers),
+                MixerKind::Sum => pass.scatter(utilities, mixed.teams, all.sizes.len()),
+                MixerKind::Linear => self.linear(pass, mixed, numbers),
+                MixerKind::Qmix => qmix(pass, mixed, numbers),
             }
         };
         let real = mix(0..agents);
@@ -179,13 +180,11 @@ impl Mixer {
     fn linear(
         &self,
         pass: &mut Pass<'_>,
-        mixing: Mixing<'_>,
-        utilities: Var,
-        [scores, value, ..]: &[Var; KINDS],
+        Mixing { all, teams, rows, utilities }: Mixing<'_>,
+        [scores, value, ..]: [Var; KINDS],
     ) -> Var {
-        let Mixing { all, teams, rows, .. } = mixing.clone();
         let count = all.sizes.len();
-        let scores = pass.rows(*scores, rows);
+        let scores = pass.rows(scores, rows);
         let weights = pass.softmax_by(scores, teams, count);
         let weighted = pass.multiply(weights, utilities);
         let mut mixed = pass.scatter(weighted, teams, count);
@@ -193,51 +192,48 @@ impl Mixer {
             let sizes = pass.input(1, all.sizes);
             mixed = pass.multiply(mixed, sizes);
         }
-        let value = mixing.mean(pass, *value);
-        pass.add(mixed, value)
-    }
-
-    /// QMIX (dissertation section 5.3.2), with its layers of one team: `Q = w2 . elu(sum of W1[a] q_a + b1) + V`.
-    ///
-    /// Each agent has M numbers for its row of `W1`, M for `b1`, M for `w2` and one for `V`; the last three are means over the
-    /// team. Rows of `W1`, and `w2`, go through a softmax, so that no weight is negative; `b1` and `V` are unrestricted.
-    fn qmix(
-        &self,
-        pass: &mut Pass<'_>,
-        mixing: Mixing<'_>,
-        utilities: Var,
-        [first, bias, second, value]: &[Var; KINDS],
-    ) -> Var {
-        let Mixing { all, teams, rows, .. } = mixing.clone();
-        let first = pass.rows(*first, rows);
-        let first = pass.softmax(first);
-        let first = pass.scale_rows(first, utilities);
-        let hidden = pass.scatter(first, teams, all.sizes.len());
-        let bias = mixing.mean(pass, *bias);
-        let hidden = pass.add(hidden, bias);
-        let hidden = pass.elu(hidden);
-        let second = mixing.mean(pass, *second);
-        let second = pass.softmax(second);
-        let mixed = pass.multiply(hidden, second);
-        let mixed = pass.sum_columns(mixed);
-        let value = mixing.mean(pass, *value);
+        let value = all.mean(pass, value);
         pass.add(mixed, value)
     }
 }
 
-/// What is mixed: rows of utilities and the team of each.
-#[derive(Clone)]
+/// QMIX (dissertation section 5.3.2), with its layers of one team: `Q = w2 . elu(sum of W1[a] q_a + b1) + V`.
+///
+/// Each agent has M numbers for its row of `W1`, M for `b1`, M for `w2` and one for `V`; the last three are means over the
+/// team. Rows of `W1`, and `w2`, go through a softmax, so that no weight is negative; `b1` and `V` are unrestricted.
+fn qmix(
+    pass: &mut Pass<'_>,
+    Mixing { all, teams, rows, utilities }: Mixing<'_>,
+    [first, bias, second, value]: [Var; KINDS],
+) -> Var {
+    let first = pass.rows(first, rows);
+    let first = pass.softmax(first);
+    let first = pass.scale_rows(first, utilities);
+    let hidden = pass.scatter(first, teams, all.sizes.len());
+    let bias = all.mean(pass, bias);
+    let hidden = pass.add(hidden, bias);
+    let hidden = pass.elu(hidden);
+    let second = all.mean(pass, second);
+    let second = pass.softmax(second);
+    let mixed = pass.multiply(hidden, second);
+    let mixed = pass.sum_columns(mixed);
+    let value = all.mean(pass, value);
+    pass.add(mixed, value)
+}
+
+/// What is mixed: utilities, their rows, and the team of each.
 struct Mixing<'a> {
     all: Teams<'a>,
     teams: &'a [u32],
-    rows: std::ops::Range<usize>,
-    agents: usize,
+    rows: Range<usize>,
+    utilities: Var,
 }
 
-impl Mixing<'_> {
+impl Teams<'_> {
     /// The mean over each team of its agents' numbers, of those in the first block.
-    fn mean(&self, pass: &mut Pass<'_>, numbers: Var) -> Var {
-        let first = pass.rows(numbers, 0..self.agents);
-        pass.mean_by(first, &self.all.numbers[..self.agents], self.all.sizes.len())
+    fn mean(self, pass: &mut Pass<'_>, numbers: Var) -> Var {
+        let agents = self.known.queries();
+        let first = pass.rows(numbers, 0..agents);
+        pass.mean_by(first, &self.numbers[..agents], self.sizes.len())
     }
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use sortie_envs::{Environment, Episode, Random, Split, Step};
 
 use crate::act::{Act, Ask, Scene, Scenes};
-use crate::error::LearnError;
+use crate::error::Result;
 use crate::evaluate::Evaluation;
 
 /// Episodes that are played at the same time.
@@ -20,7 +20,7 @@ pub fn evaluate(
     team: &mut dyn Act,
     episodes: usize,
     seed: u64,
-) -> Result<Evaluation, LearnError> {
+) -> Result<Evaluation> {
     evaluate_watched(environment, team, episodes, seed, &mut ())
 }
 
@@ -34,7 +34,7 @@ pub fn evaluate_watched(
     episodes: usize,
     seed: u64,
     onlooker: &mut dyn Onlooker,
-) -> Result<Evaluation, LearnError> {
+) -> Result<Evaluation> {
     let mut worlds = environment.open(WORLDS.min(episodes), Split::Test);
     let done = watch(&mut *worlds, team, 0..episodes, seed, onlooker)?;
     Ok(Evaluation::of(worlds.spec(), &done))
@@ -54,25 +54,12 @@ pub struct Watched<'a> {
 /// Watches episodes, which are played side by side.
 pub trait Onlooker {
     /// An episode shows its first state.
-    ///
-    /// # Errors
-    /// What is seen cannot be kept.
-    fn started(&mut self, watched: Watched<'_>) -> Result<(), LearnError> {
-        let _ = watched;
+    fn started(&mut self, _watched: Watched<'_>) -> Result<()> {
         Ok(())
     }
 
     /// A step was taken; the instance has not started anew.
-    ///
-    /// # Errors
-    /// What is seen cannot be kept.
-    fn stepped(
-        &mut self,
-        watched: Watched<'_>,
-        actions: &[u16],
-        step: &Step,
-    ) -> Result<(), LearnError> {
-        let _ = (watched, actions, step);
+    fn stepped(&mut self, _watched: Watched<'_>, _actions: &[u16], _step: &Step) -> Result<()> {
         Ok(())
     }
 }
@@ -90,7 +77,7 @@ pub fn watch(
     episodes: Range<usize>,
     seed: u64,
     onlooker: &mut dyn Onlooker,
-) -> Result<Vec<Episode>, LearnError> {
+) -> Result<Vec<Episode>> {
     let first = episodes.start;
     let mut done = vec![Episode::default(); episodes.len()];
     let mut starts = episodes.map(|episode| Start::of(seed, episode));
@@ -120,15 +107,12 @@ pub fn watch(
 ///
 /// Every instance comes with a generator for what the world leaves to chance; `random` holds one for what the team does,
 /// for every instance by its number.
-///
-/// # Errors
-/// The team cannot decide, or chose an action that is not available.
 pub(super) fn finish(
     worlds: &mut dyn Environment,
     team: &mut dyn Act,
     instances: Vec<(usize, Random)>,
     random: &mut [Random],
-) -> Result<Vec<f64>, LearnError> {
+) -> Result<Vec<f64>> {
     let mut earned = vec![0.0; instances.len()];
     let go_on = |(place, (instance, random))| Open::at(worlds, (place, instance), random);
     let mut open: Vec<Open> = instances.into_iter().enumerate().map(go_on).collect();
@@ -147,7 +131,7 @@ fn round(
     open: &mut [Open],
     random: &mut [Random],
     onlooker: &mut dyn Onlooker,
-) -> Result<(), LearnError> {
+) -> Result<()> {
     let agents = worlds.spec().shape.agents;
     let mut actions = vec![0; open.len() * agents];
     let scenes: Vec<Scene<'_>> = open.iter().map(Open::scene).collect();
@@ -233,7 +217,7 @@ mod tests {
     struct Begins(usize);
 
     impl Act for Begins {
-        fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
+        fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<()> {
             self.0 += scenes.scenes.iter().filter(|scene| scene.begins).count();
             actions.fill(1);
             Ok(())
@@ -244,7 +228,7 @@ mod tests {
     struct Wanders;
 
     impl Act for Wanders {
-        fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<(), LearnError> {
+        fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<()> {
             let actions = actions.chunks_exact_mut(actions.len() / scenes.scenes.len());
             for (random, actions) in scenes.generators(random).zip(actions) {
                 actions.fill_with(|| sortie_envs::random::below(random, 3) as u16);

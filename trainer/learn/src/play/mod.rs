@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use sortie_envs::{Environment, Random, Spec, Split, Step};
 
 use crate::act::{Ask, Scene, Scenes};
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 use crate::evaluate::metric_means;
 use crate::method::{Method, Now, Transition};
 use crate::run::EpisodeCounts;
@@ -20,6 +20,7 @@ use crate::state::State;
 pub use episodes::{Onlooker, Start, WORLDS, Watched, evaluate, evaluate_watched, watch};
 pub use planner::{Planner, PlannerReport};
 pub use teams::{PolicyTeam, RandomTeam};
+pub(crate) use teams::{Shown, codes, mask, write_actions};
 
 /// Instances that are played to learn from.
 pub struct Play {
@@ -77,7 +78,7 @@ impl Play {
         method: &mut dyn Method,
         now: Now,
         counts: &mut EpisodeCounts,
-    ) -> Result<u64, LearnError> {
+    ) -> Result<u64> {
         let mut steps = 0;
         let all_are_over = loop {
             self.act(method, now)?;
@@ -103,7 +104,7 @@ impl Play {
     }
 
     /// Lets the method act in all instances whose episode runs.
-    fn act(&mut self, method: &mut dyn Method, now: Now) -> Result<(), LearnError> {
+    fn act(&mut self, method: &mut dyn Method, now: Now) -> Result<()> {
         let running = self.running.iter().enumerate().filter(|(_, running)| !running.is_over);
         let scene = |(instance, running)| {
             let Running { state, begins, tasks_changed, .. }: &Running = running;
@@ -124,7 +125,7 @@ impl Play {
         place: usize,
         method: &mut dyn Method,
         counts: &mut EpisodeCounts,
-    ) -> Result<(), LearnError> {
+    ) -> Result<()> {
         let agents = self.worlds.spec().shape.agents;
         let actions = &self.actions[place * agents..][..agents];
         let step = self.worlds.step(instance, actions, &mut self.random[instance])?;
@@ -172,10 +173,7 @@ impl Play {
     }
 
     /// Names what the rest of the play depends on.
-    ///
-    /// # Errors
-    /// What is read does not fit.
-    pub fn state(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+    pub fn state(&mut self, state: &mut State<'_>) -> Result<()> {
         let instances = self.running.len();
         state.value("play/random", &mut self.random)?;
         state.value("play/running", &mut self.running)?;
@@ -201,7 +199,6 @@ struct Recent {
 }
 
 impl Recent {
-    /// An episode ended.
     pub(super) fn add(&mut self, metrics: Vec<Option<f64>>) {
         self.episodes.truncate(LAST - 1);
         self.episodes.push_front(metrics);
@@ -248,14 +245,14 @@ mod tests {
             self.told.push(instance);
         }
 
-        fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>, _: Now) -> Result<(), LearnError> {
+        fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>, _: Now) -> Result<()> {
             let begun = scenes.scenes.iter().filter(|scene| scene.begins);
             self.seen.extend(begun.map(|scene| scene.instance));
             actions.fill(1);
             Ok(())
         }
 
-        fn remember(&mut self, transition: &Transition<'_>) -> Result<(), LearnError> {
+        fn remember(&mut self, transition: &Transition<'_>) -> Result<()> {
             self.earned += transition.step.reward;
             self.timed_out += u64::from(transition.step.timed_out);
             Ok(())
@@ -269,7 +266,7 @@ mod tests {
             Box::new(RandomTeam::new(1))
         }
 
-        fn state(&mut self, _: &mut State<'_>) -> Result<(), LearnError> {
+        fn state(&mut self, _: &mut State<'_>) -> Result<()> {
             Ok(())
         }
     }

@@ -13,7 +13,7 @@ use sortie_envs::{Environment, Random, Split};
 
 use super::episodes::{WORLDS, finish};
 use crate::act::{Act, Ask, Scene};
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 use crate::random::{Purpose, generator as stream};
 use crate::subtasks::AllocatedTeam;
 
@@ -21,7 +21,7 @@ use crate::subtasks::AllocatedTeam;
 const MOVED: f64 = 0.3;
 
 /// What a planner did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct PlannerReport {
     /// Changed allocations tried where the allocator's own is not solved in simulation.
     pub candidates: usize,
@@ -59,13 +59,7 @@ impl<'a> Planner<'a> {
         candidates: usize,
         seed: u64,
     ) -> Self {
-        let report = PlannerReport {
-            candidates,
-            uses_simulator: true,
-            decisions: 0,
-            searched: 0,
-            changed: 0,
-        };
+        let report = PlannerReport { candidates, uses_simulator: true, ..PlannerReport::default() };
         let worlds = environment.open(WORLDS + candidates.max(1), Split::Test);
         Self { team, worlds, random: stream(seed, Purpose::Planning, 0), report }
     }
@@ -76,7 +70,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Replaces the allocation that was just decided by a better one, if one is found.
-    fn improve(&mut self, scene: &Scene<'_>) -> Result<(), LearnError> {
+    fn improve(&mut self, scene: &Scene<'_>) -> Result<()> {
         let allocation = self.team.allocation(scene.instance).to_vec();
         self.report.decisions += 1;
         let [own] = self.simulate(scene, std::slice::from_ref(&allocation))?[..] else {
@@ -91,25 +85,22 @@ impl<'a> Planner<'a> {
             .collect();
         let rests = self.simulate(scene, &candidates)?;
         if let Some(best) = best_of(&rests, own) {
-            self.team.reallocate(scene.instance, &candidates[best]);
+            let place = self.team.places.of_mut(scene.instance);
+            place.allocation.copy_from_slice(&candidates[best]);
             self.report.changed += 1;
         }
         Ok(())
     }
 
     /// Plays each allocation to the end; later decisions are the team's own.
-    fn simulate(
-        &mut self,
-        scene: &Scene<'_>,
-        allocations: &[Vec<u8>],
-    ) -> Result<Vec<Rest>, LearnError> {
+    fn simulate(&mut self, scene: &Scene<'_>, allocations: &[Vec<u8>]) -> Result<Vec<Rest>> {
         let (mut starts, mut random) = (Vec::new(), vec![generator(0); WORLDS]);
         for (instance, allocation) in (WORLDS..).zip(allocations) {
             starts.push((instance, generator(self.random.next_u64())));
             random.push(generator(self.random.next_u64()));
             self.worlds.load(instance, scene.state).map_err(LearnError::environment)?;
-            self.team.copy(scene.instance, instance);
-            self.team.reallocate(instance, allocation);
+            let place = self.team.places.copy(scene.instance, instance);
+            place.allocation.copy_from_slice(allocation);
         }
         let earned = finish(&mut *self.worlds, &mut self.team, starts, &mut random)?;
         let solved = |instance| self.worlds.episode(instance).solved;
@@ -119,7 +110,7 @@ impl<'a> Planner<'a> {
 
     /// The allocation with some agents sent to other open subtasks.
     fn changed(&mut self, instance: usize, allocation: &[u8]) -> Vec<u8> {
-        let seen = self.team.seen(instance);
+        let seen = &self.team.places.of(instance).seen;
         let mut changed = allocation.to_vec();
         for task in &mut changed[..seen.agents()] {
             if chance(&mut self.random, MOVED)
@@ -144,7 +135,7 @@ fn best_of(rests: &[Rest], own: Rest) -> Option<usize> {
 }
 
 impl Act for Planner<'_> {
-    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<()> {
         for scene in scenes.scenes {
             let random = &mut random[scene.instance];
             if self.team.decide(scenes.environment, scene, random)? {

@@ -1,20 +1,82 @@
 //! Teams that do not learn: a deployed policy, and play without a thought, which everything that is learned has to beat.
 
 use sortie_core::policy::{NO_ACTION, Observation as Seen, Policy};
-use sortie_core::{DecideError, EntityMask};
+use sortie_core::{DecideError, Decision, EntityMask};
 use sortie_envs::random::{generator, member};
-use sortie_envs::{EntitySet, Observation, Random};
+use sortie_envs::{ActionSet, EntitySet, Environment, Observation, Random, Shape, members};
 
-use crate::act::{Act, Ask, Scenes};
-use crate::error::LearnError;
+use crate::act::{Act, Ask, Scene};
+use crate::error::{LearnError, Result};
+
+/// What all agents of a team are shown of a state, as in frames: a row for every entity, and what each may do.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Shown {
+    features: usize,
+    actions: usize,
+    rows: Vec<f32>,
+    /// `[A, U]`
+    available: Vec<u16>,
+}
+
+impl Shown {
+    /// Lays out what was observed of all entities.
+    pub(crate) fn look(&mut self, seen: &Observation, shape: Shape) {
+        (self.features, self.actions) = (shape.features, shape.actions);
+        self.rows.clear();
+        self.rows.resize(shape.entities * shape.features, 0.0);
+        for entity in members(seen.present) {
+            let row = &mut self.rows[entity * shape.features..][..shape.features];
+            seen.rows.write_dense(seen.row_of(entity), row);
+        }
+        self.available.clear();
+        self.available.extend(seen.available.iter().flat_map(|set| codes(*set, shape.actions)));
+    }
+
+    /// What one of the agents sees of it.
+    pub(crate) fn to<'a>(
+        &'a self,
+        agent: usize,
+        visible: EntityMask,
+        last_actions: &'a [u16],
+    ) -> Seen<'a> {
+        Seen {
+            rows: &self.rows,
+            stride: self.features,
+            last_actions,
+            visible,
+            self_index: agent,
+            available: &self.available[agent * self.actions..][..self.actions],
+        }
+    }
+}
+
+/// A set of actions as policies are told of it: 1 for each of so many that it holds, else 0.
+pub(crate) fn codes(set: ActionSet, actions: usize) -> impl Iterator<Item = u16> {
+    (0..actions).map(move |action| (set >> action & 1) as u16)
+}
+
+/// A set of entities as policies are told of it.
+pub(crate) fn mask(entities: EntitySet) -> EntityMask {
+    EntityMask::from_words(&[entities as u64, (entities >> 64) as u64])
+}
+
+/// Writes the actions that were decided on.
+pub(crate) fn write_actions(
+    actions: &mut [u16],
+    decisions: Vec<Result<Decision, DecideError>>,
+) -> Result<()> {
+    for (action, decision) in actions.iter_mut().zip(decisions) {
+        *action = decision.map_err(|error| LearnError::Team(error.to_string()))?.action;
+    }
+    Ok(())
+}
 
 /// A deployed policy, agent by agent, on what each of them would see.
 #[derive(Debug)]
 pub struct PolicyTeam<P> {
     policy: P,
     seen: Observation,
-    rows: Vec<f32>,
-    available: Vec<u16>,
+    shown: Shown,
     /// `[instances][A]`
     last_actions: Vec<Vec<u16>>,
     /// `[instances][A, R]`
@@ -24,33 +86,16 @@ pub struct PolicyTeam<P> {
 impl<P: Policy> PolicyTeam<P> {
     /// Acts by a policy that sees everything that is observable.
     pub fn new(policy: P) -> Self {
-        Self {
-            policy,
-            seen: Observation::default(),
-            rows: Vec::new(),
-            available: Vec::new(),
-            last_actions: Vec::new(),
-            memories: Vec::new(),
-        }
+        let (seen, shown) = Default::default();
+        Self { policy, seen, shown, last_actions: Vec::new(), memories: Vec::new() }
     }
 
     /// Lays out what an instance shows.
-    fn look(&mut self, scenes: &Scenes<'_>, scene: usize) {
-        let Self { policy, seen, rows, available, last_actions, memories } = self;
-        let (environment, scene) = (scenes.environment, scenes.scenes[scene]);
+    fn look(&mut self, environment: &dyn Environment, scene: &Scene<'_>) {
+        let Self { policy, seen, shown, last_actions, memories } = self;
         let shape = environment.spec().shape;
         environment.observe(scene.state, 0, EntitySet::MAX, seen);
-        rows.clear();
-        rows.resize(shape.entities * shape.features, 0.0);
-        for (entity, row) in rows.chunks_exact_mut(shape.features).enumerate() {
-            if seen.entities >> entity & 1 == 1 {
-                seen.rows.write_dense(seen.row_of(entity), row);
-            }
-        }
-        available.clear();
-        for actions in &seen.available {
-            available.extend((0..shape.actions).map(|action| (actions >> action & 1) as u16));
-        }
+        shown.look(seen, shape);
         let places = last_actions.len().max(scene.instance + 1);
         last_actions.resize(places, Vec::new());
         memories.resize(places, Vec::new());
@@ -62,35 +107,25 @@ impl<P: Policy> PolicyTeam<P> {
 }
 
 impl<P: Policy> Act for PolicyTeam<P> {
-    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
-        let shape = scenes.environment.spec().shape;
-        for (scene, actions) in actions.chunks_exact_mut(shape.agents).enumerate() {
-            self.look(scenes, scene);
-            let instance = scenes.scenes[scene].instance;
-            let agents = self.seen.agents();
-            let see = |agent: usize| Seen {
-                rows: &self.rows,
-                stride: shape.features,
-                last_actions: &self.last_actions[instance],
-                visible: mask(self.seen.observable[agent] & self.seen.present),
-                self_index: agent,
-                available: &self.available[agent * shape.actions..][..shape.actions],
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<()> {
+        let slots = scenes.environment.spec().shape.agents;
+        for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(slots)) {
+            self.look(scenes.environment, scene);
+            let Self { policy, seen, shown, last_actions, memories } = self;
+            let (last_actions, agents) = (&mut last_actions[scene.instance], seen.agents());
+            let see = |agent: usize| {
+                let visible = mask(seen.observable[agent] & seen.present);
+                shown.to(agent, visible, last_actions)
             };
             let observations: Vec<Seen<'_>> = (0..agents).map(see).collect();
             let mut decisions = vec![Err(DecideError::BadLength); agents];
-            let states = &mut self.memories[instance][..agents * self.policy.hidden()];
-            self.policy.decide_batch_with(&observations, states, &mut decisions);
-            for (action, decision) in actions.iter_mut().zip(decisions) {
-                *action = decision.map_err(|error| LearnError::Team(error.to_string()))?.action;
-            }
-            self.last_actions[instance].copy_from_slice(actions);
+            let states = &mut memories[scene.instance][..agents * policy.hidden()];
+            policy.decide_batch_with(&observations, states, &mut decisions);
+            write_actions(actions, decisions)?;
+            last_actions.copy_from_slice(actions);
         }
         Ok(())
     }
-}
-
-fn mask(entities: EntitySet) -> EntityMask {
-    EntityMask::from_words(&[entities as u64, (entities >> 64) as u64])
 }
 
 /// Agents that take any available action.
@@ -108,7 +143,7 @@ impl RandomTeam {
 }
 
 impl Act for RandomTeam {
-    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<()> {
         let agents = scenes.environment.spec().shape.agents;
         for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(agents)) {
             scenes.environment.observe(scene.state, 0, 0, &mut self.seen);

@@ -22,11 +22,11 @@ pub struct Comparison {
     /// One entry per label, in the order given.
     pub groups: Vec<GroupSummary>,
     /// One entry per run, label by label.
-    pub runs: Vec<RunSummary>,
+    runs: Vec<RunSummary>,
     /// Success by team, if that is compared, for the labels whose runs have a final evaluation.
-    pub teams: Vec<TeamSummary>,
+    pub(super) teams: Vec<TeamSummary>,
     /// Why episodes failed, for the labels whose runs all say so.
-    pub causes: Vec<CauseSummary>,
+    pub(super) causes: Vec<CauseSummary>,
     /// What a reader must know to judge the figures.
     pub notes: Vec<String>,
 }
@@ -83,48 +83,40 @@ pub struct Reached {
     pub max: f64,
 }
 
-/// How one run did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct RunSummary {
-    /// Its label.
-    pub label: String,
+pub(super) struct RunSummary {
+    label: String,
     /// Its folder.
-    pub run: String,
-    /// Its seed, where it says so.
-    pub seed: Option<u64>,
+    run: String,
+    /// Where it says so.
+    seed: Option<u64>,
     /// Share of solved episodes: of the final evaluation, else of the last one during training; absent where nothing can
     /// be solved.
-    pub success: Option<f64>,
-    /// Environment steps learned for.
-    pub env_steps: f64,
-    /// Seconds of processor time.
-    pub cpu_s: f64,
-    /// Seconds by the clock.
-    pub wall_s: f64,
+    success: Option<f64>,
+    env_steps: f64,
+    cpu_s: f64,
+    wall_s: f64,
 }
 
 /// How the runs of a label did with one team.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct TeamSummary {
-    /// The team, its kinds as letters.
-    pub team: String,
-    /// The label.
-    pub label: String,
+pub(super) struct TeamSummary {
+    /// Its kinds as letters.
+    pub(super) team: String,
+    pub(super) label: String,
     /// Episodes played, all runs together.
-    pub episodes: usize,
-    /// Share of solved episodes.
-    pub success: Spread,
+    episodes: usize,
+    pub(super) success: Spread,
 }
 
 /// How often the runs of a label failed for one cause.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CauseSummary {
-    /// The cause, as evaluations name it.
-    pub cause: String,
-    /// The label.
-    pub label: String,
-    /// Share of all episodes that failed for it.
-    pub share: Spread,
+pub(super) struct CauseSummary {
+    /// As evaluations name it.
+    pub(super) cause: String,
+    pub(super) label: String,
+    /// Of all episodes, those that failed for it.
+    pub(super) share: Spread,
 }
 
 impl Comparison {
@@ -152,10 +144,7 @@ impl Comparison {
 impl GroupSummary {
     /// What is compared of it.
     pub fn of_score(&self, score: Score) -> Option<Spread> {
-        match score {
-            Score::Success => self.success,
-            Score::Return => self.return_mean,
-        }
+        score.pick(self.success, self.return_mean)
     }
 
     fn of(group: &Group) -> Option<Self> {
@@ -208,7 +197,7 @@ impl RunSummary {
 
 impl Until {
     fn of(group: &Group, level: f64) -> Self {
-        let first = |run: &RunRecord| run.curve().iter().find(|p| p.success >= level).copied();
+        let first = |run: &RunRecord| run.curve.iter().find(|p| p.success >= level).copied();
         let first: Vec<Point> = group.runs.iter().filter_map(first).collect();
         let reached = |axis: Axis| {
             let spread = Spread::of(first.iter().map(|point| axis.of(point)))?;

@@ -40,19 +40,6 @@ impl Axis {
     }
 }
 
-/// The seeds of a group at one place of the axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sample {
-    /// The place: steps or seconds.
-    pub x: f64,
-    /// Mean score of the seeds.
-    pub mean: f64,
-    /// That of the worst seed.
-    pub min: f64,
-    /// That of the best seed.
-    pub max: f64,
-}
-
 /// How a quantity varies between seeds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
@@ -81,14 +68,14 @@ impl Spread {
 }
 
 impl Group {
-    /// Mean and range of the seeds at every place where one of them was evaluated.
+    /// How seeds vary at every place of the axis where one of them was evaluated.
     ///
     /// A seed has the value of its last evaluation until the next one, and keeps that of its last when
     /// others go on. The samples begin where every seed has been evaluated once.
-    pub fn curve(&self, axis: Axis, score: Score) -> Vec<Sample> {
-        let firsts = self.runs.iter().filter_map(|run| run.curve().first());
+    pub fn curve(&self, axis: Axis, score: Score) -> Vec<(f64, Spread)> {
+        let firsts = self.runs.iter().filter_map(|run| run.curve.first());
         let begin = firsts.map(|point| axis.of(point)).fold(f64::NEG_INFINITY, f64::max);
-        let all = self.runs.iter().flat_map(|run| run.curve());
+        let all = self.runs.iter().flat_map(|run| &run.curve);
         let mut places: Vec<f64> =
             all.map(|point| axis.of(point)).filter(|x| *x >= begin).collect();
         places.sort_by(f64::total_cmp);
@@ -96,13 +83,12 @@ impl Group {
         places.into_iter().filter_map(|x| self.sample(axis, score, x)).collect()
     }
 
-    fn sample(&self, axis: Axis, score: Score, x: f64) -> Option<Sample> {
+    fn sample(&self, axis: Axis, score: Score, x: f64) -> Option<(f64, Spread)> {
         let known = |run: &RunRecord| {
-            let until = run.curve().partition_point(|point| axis.of(point) <= x);
-            Some(run.curve().get(until.checked_sub(1)?)?.of(score))
+            let until = run.curve.partition_point(|point| axis.of(point) <= x);
+            Some(run.curve.get(until.checked_sub(1)?)?.of(score))
         };
-        let spread = Spread::of(self.runs.iter().filter_map(known))?;
-        Some(Sample { x, mean: spread.mean, min: spread.min, max: spread.max })
+        Some((x, Spread::of(self.runs.iter().filter_map(known))?))
     }
 
     /// The spread over the seeds of something that each has; none where one lacks it.
@@ -150,21 +136,22 @@ pub(super) mod tests {
                 run(2, &[(15.0, 0.25), (25.0, 1.0)]),
             ],
         );
-        let sample = |x, mean, min, max| Sample { x, mean, min, max };
+        let sample = |(x, Spread { mean, min, max, .. })| [x, mean, min, max];
+        let curve = group.curve(Axis::Steps, Score::Success).into_iter().map(sample);
         assert_eq!(
-            group.curve(Axis::Steps, Score::Success),
+            curve.collect::<Vec<_>>(),
             [
-                sample(15.0, 0.125, 0.0, 0.25),
-                sample(20.0, 0.375, 0.25, 0.5),
-                sample(25.0, 0.75, 0.5, 1.0),
-                sample(30.0, 0.875, 0.75, 1.0),
+                [15.0, 0.125, 0.0, 0.25],
+                [20.0, 0.375, 0.25, 0.5],
+                [25.0, 0.75, 0.5, 1.0],
+                [30.0, 0.875, 0.75, 1.0],
             ]
         );
         let seconds: Vec<f64> =
-            group.curve(Axis::Cpu, Score::Success).iter().map(|sample| sample.x).collect();
+            group.curve(Axis::Cpu, Score::Success).iter().map(|(x, _)| *x).collect();
         assert_eq!(seconds, [0.015, 0.02, 0.025, 0.03]);
         let returns = group.curve(Axis::Steps, Score::Return);
-        assert_eq!(returns[0], sample(15.0, 12.5, 0.0, 25.0));
+        assert_eq!(sample(returns[0]), [15.0, 12.5, 0.0, 25.0]);
         // Whichever seed comes first.
         group.runs.reverse();
         assert_eq!(group.curve(Axis::Steps, Score::Return), returns);

@@ -1,7 +1,7 @@
 //! How runs are watched and compared.
 //!
-//! While a run learns: its curve as CSV ([`to_csv`]) and for TensorBoard ([`RunEvents`]). Afterwards, or
-//! beside: [`RunRecord`] reads what a run wrote, [`Group`] gathers the seeds of one method, and
+//! While a run learns: its curve as CSV ([`to_csv`]) and for TensorBoard. Afterwards, or beside:
+//! [`RunRecord`] reads what a run wrote, [`Group`] gathers the seeds of one method, and
 //! [`Comparison`] says how methods did, as tables and as pictures ([`chart`]).
 
 pub mod chart;
@@ -11,20 +11,21 @@ pub mod numbers;
 mod record;
 mod row;
 mod table;
-pub mod tensorboard;
+mod tensorboard;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use sortie_bundle::files::{Durability, replace_file};
 
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 
-pub use comparison::{Comparison, GroupSummary, Reached, RunSummary, TeamSummary, Until};
-pub use group::{Axis, Group, Sample, Spread};
+use comparison::TeamSummary;
+pub use comparison::{Comparison, GroupSummary, Reached, Until};
+pub use group::{Axis, Group, Spread};
 pub use record::{FinalResult, Point, RunRecord};
 pub use row::{Row, to_csv};
-pub use tensorboard::RunEvents;
+pub(crate) use tensorboard::RunEvents;
 
 /// Writes the tables and pictures of a comparison into a folder and returns its files.
 ///
@@ -34,23 +35,19 @@ pub use tensorboard::RunEvents;
 /// | `curves-cpu.svg` | success against processor time |
 /// | `teams.svg`, `teams.csv` | success by team, where there are final evaluations |
 /// | `table.md`, `table.csv`, `table.json` | the figures of [`Comparison`] |
-pub fn write(
-    folder: &Path,
-    groups: &[Group],
-    comparison: &Comparison,
-) -> Result<Vec<PathBuf>, LearnError> {
+pub fn write(folder: &Path, groups: &[Group], comparison: &Comparison) -> Result<Vec<PathBuf>> {
     let title = &comparison.title;
     let bad = |error: serde_json::Error| LearnError::format(folder, error);
     let mut files = vec![
         ("curves-steps.svg", chart::curves(title, groups, Axis::Steps)?),
         ("curves-cpu.svg", chart::curves(title, groups, Axis::Cpu)?),
         ("table.md", comparison.markdown()),
-        ("table.csv", comparison.csv().map_err(bad)?),
+        ("table.csv", to_csv(&comparison.groups).map_err(bad)?),
         ("table.json", serde_json::to_string_pretty(comparison).map_err(bad)? + "\n"),
     ];
     if let Some(svg) = chart::teams(&format!("{title}: success by team"), comparison)? {
         files.push(("teams.svg", svg));
-        files.push(("teams.csv", comparison.teams_csv().map_err(bad)?));
+        files.push(("teams.csv", to_csv(&comparison.teams).map_err(bad)?));
     }
     fs::create_dir_all(folder).map_err(LearnError::file(folder))?;
     let write = |(name, content): &(&str, String)| {

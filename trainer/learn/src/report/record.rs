@@ -8,15 +8,9 @@ use serde_json::Value;
 use sortie_bundle::files::{MOST_BYTES, read_text};
 
 use super::Row;
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 use crate::evaluate::{Score, TeamSuccess};
-
-/// The learning curve: one JSON object a line.
-const CURVE: &str = "curve.json";
-/// The final evaluation on fresh episodes.
-const RESULT: &str = "result.json";
-/// How the run learned.
-const DESCRIPTION: &str = "train.toml";
+use crate::run::{CURVE, DESCRIPTION, RESULT};
 
 /// A run as it is compared; its networks stay on the disk.
 #[derive(Clone, Debug)]
@@ -32,7 +26,7 @@ pub struct RunRecord {
     /// What says how good it is.
     pub score: Score,
     /// One point per evaluation, steps ascending; never empty.
-    pub(super) curve: Vec<Point>,
+    pub curve: Vec<Point>,
     /// All that was written of each evaluation.
     pub rows: Vec<Row>,
     /// The final evaluation, where there is one.
@@ -92,7 +86,7 @@ const NO_METRICS: [&str; 2] = ["seed", "return_sd"];
 
 impl FinalResult {
     /// Reads an evaluation: that at the end of a run, or what `sortie eval --json` said.
-    pub fn open(path: &Path) -> Result<Self, LearnError> {
+    pub fn open(path: &Path) -> Result<Self> {
         let text = read_text(path, MOST_BYTES).map_err(LearnError::file(path))?;
         serde_json::from_str(&text).map_err(|error| LearnError::format(path, error))
     }
@@ -111,7 +105,7 @@ impl RunRecord {
     }
 
     /// Reads the folder of a run, finished or not.
-    pub fn open(folder: &Path) -> Result<Self, LearnError> {
+    pub fn open(folder: &Path) -> Result<Self> {
         let rows = read_rows(&folder.join(CURVE))?;
         let curve =
             points(&rows).map_err(|reason| LearnError::format(folder.join(CURVE), reason))?;
@@ -144,11 +138,6 @@ impl RunRecord {
     /// The name of its folder without the seed: `alma` of `runs/alma-s3`.
     pub fn label(&self) -> String {
         split_seed(&self.name()).0
-    }
-
-    /// One point per evaluation, steps ascending; at least one.
-    pub fn curve(&self) -> &[Point] {
-        &self.curve
     }
 
     /// The last evaluation during training.
@@ -185,7 +174,7 @@ fn split_seed(name: &str) -> (String, Option<u64>) {
     (name.to_owned(), None)
 }
 
-fn read_rows(path: &Path) -> Result<Vec<Row>, LearnError> {
+fn read_rows(path: &Path) -> Result<Vec<Row>> {
     let text = read_text(path, MOST_BYTES).map_err(LearnError::file(path))?;
     let row = |(index, line)| {
         Row::from_json(line)
@@ -218,7 +207,7 @@ fn points(rows: &[Row]) -> Result<Vec<Point>, String> {
 }
 
 /// The table of `train.toml`, empty where there is none.
-fn read_description(path: &Path) -> Result<toml::Table, LearnError> {
+fn read_description(path: &Path) -> Result<toml::Table> {
     if !path.exists() {
         return Ok(toml::Table::new());
     }

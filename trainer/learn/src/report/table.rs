@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::numbers::{count, duration};
-use super::{Comparison, GroupSummary, Reached, Spread, to_csv};
+use super::{Comparison, GroupSummary, Reached, Spread};
 use crate::evaluate::Score;
 
 impl Comparison {
@@ -96,16 +96,6 @@ impl Comparison {
         };
         table(&header, self.groups.iter().map(row))
     }
-
-    /// One line per label, a column per figure; units as in [`GroupSummary`].
-    pub fn csv(&self) -> serde_json::Result<String> {
-        to_csv(&self.groups)
-    }
-
-    /// One line per team and label.
-    pub fn teams_csv(&self) -> serde_json::Result<String> {
-        to_csv(&self.teams)
-    }
 }
 
 /// `0.731 ± 0.020 (0.712–0.752)`, or the value alone of one run.
@@ -180,6 +170,7 @@ mod tests {
     use super::*;
     use crate::report::comparison::tests::evaluated;
     use crate::report::group::tests::{group, run};
+    use crate::report::to_csv;
 
     fn comparison() -> Comparison {
         let alma = vec![evaluated(1, 0.5, &[("ab", 5)]), evaluated(2, 0.75, &[("ab", 7)])];
@@ -217,7 +208,7 @@ mod tests {
 
     #[test]
     fn the_columns_of_the_csv_are_the_figures() {
-        let text = comparison().csv().unwrap();
+        let text = to_csv(&comparison().groups).unwrap();
         let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
         let cell = |row: usize, name: &str| {
             let column = lines[0].iter().position(|other| *other == name).expect(name);
@@ -228,6 +219,6 @@ mod tests {
         assert_eq!(cell(1, "success_mean"), "0.625");
         assert_eq!(cell(1, "until_0.60_env_steps_max"), "200.0");
         assert_eq!(cell(2, "success_sd"), "");
-        assert_eq!(comparison().teams_csv().unwrap().lines().count(), 2);
+        assert_eq!(to_csv(&comparison().teams).unwrap().lines().count(), 2);
     }
 }

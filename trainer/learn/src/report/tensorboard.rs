@@ -14,7 +14,7 @@ use crc::{CRC_32_ISCSI, Crc};
 use serde::Serialize;
 
 use super::Row;
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 use crate::protobuf::Message;
 
 /// Quantities about learning itself, by the beginning of their names; all others, of whatever environment, are measured
@@ -36,7 +36,7 @@ const STEP: &str = "env_steps";
 
 /// What this process tells TensorBoard of a run.
 #[derive(Debug)]
-pub struct RunEvents {
+pub(crate) struct RunEvents {
     folder: PathBuf,
     /// Begun at the first point.
     file: Option<EventFile>,
@@ -46,32 +46,28 @@ pub struct RunEvents {
 
 impl RunEvents {
     /// Nothing is written before the first point.
-    pub fn new(folder: &Path) -> Self {
+    pub(crate) fn new(folder: &Path) -> Self {
         Self { folder: folder.to_owned(), file: None, first: 0 }
     }
 
     /// Makes void what earlier files say of steps after this one: an interrupted run may have gone further
     /// than the checkpoint that it goes on from.
-    pub fn goes_on_from(&mut self, env_steps: u64) {
+    pub(crate) fn goes_on_from(&mut self, env_steps: u64) {
         self.first = if env_steps > 0 { env_steps + 1 } else { 0 };
     }
 
     /// Adds every number of the newest point of a curve, under `evaluation/` or `learning/`, at its
     /// `env_steps`.
-    pub fn add(&mut self, curve: &[impl Serialize]) -> Result<(), LearnError> {
+    pub(crate) fn add(&mut self, curve: &[impl Serialize]) -> Result<()> {
         curve.last().map_or(Ok(()), |point| self.write(point, &tag))
     }
 
     /// Adds every number of a point between evaluations, under `training/`, at its `env_steps`.
-    pub fn add_training(&mut self, point: &impl Serialize) -> Result<(), LearnError> {
+    pub(crate) fn add_training(&mut self, point: &impl Serialize) -> Result<()> {
         self.write(point, &|name| format!("training/{name}"))
     }
 
-    fn write(
-        &mut self,
-        point: &impl Serialize,
-        tag: &dyn Fn(&str) -> String,
-    ) -> Result<(), LearnError> {
+    fn write(&mut self, point: &impl Serialize, tag: &dyn Fn(&str) -> String) -> Result<()> {
         let bad = |reason: &dyn ToString| LearnError::format(&self.folder, reason.to_string());
         let row = Row::of(point).map_err(|error| bad(&error))?;
         let step = row.number(STEP).ok_or_else(|| bad(&"a point has no `env_steps`"))? as u64;
@@ -105,7 +101,7 @@ const START: i64 = 1;
 
 /// An event file under construction; each event is in the file when its call returns.
 #[derive(Debug)]
-pub struct EventFile {
+struct EventFile {
     path: PathBuf,
     file: File,
     /// Bytes of whole records.
@@ -117,7 +113,7 @@ impl EventFile {
     ///
     /// `now_s` is the time in seconds since 1970; `first_step` is the first step that this file may
     /// speak of: what earlier files say of it and of later steps is void.
-    pub fn begin(folder: &Path, now_s: f64, first_step: u64) -> Result<Self, LearnError> {
+    fn begin(folder: &Path, now_s: f64, first_step: u64) -> Result<Self> {
         fs::create_dir_all(folder).map_err(LearnError::file(folder))?;
         let mut seconds = newest(folder)?.map_or(now_s as u64, |last| last.max(now_s as u64));
         let (path, file) = loop {
@@ -142,24 +138,14 @@ impl EventFile {
     }
 
     /// Adds the values of named quantities at a step.
-    pub fn scalars(
-        &mut self,
-        now_s: f64,
-        step: u64,
-        values: &[(String, f64)],
-    ) -> Result<(), LearnError> {
+    fn scalars(&mut self, now_s: f64, step: u64, values: &[(String, f64)]) -> Result<()> {
         let value =
             |(tag, value): &(String, f64)| Message::default().text(1, tag).float(2, *value as f32);
         let values: Vec<Message> = values.iter().map(value).collect();
         self.write(event(now_s, step).message(5, &Message::default().messages(1, &values)))
     }
 
-    /// The file.
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    fn write(&mut self, event: Message) -> Result<(), LearnError> {
+    fn write(&mut self, event: Message) -> Result<()> {
         // One call, so that a reader beside rarely sees half a record.
         let record = record(&event.into_bytes());
         let written = self.file.write_all(&record);
@@ -174,7 +160,7 @@ impl EventFile {
 }
 
 /// The seconds in the name of the newest event file.
-fn newest(folder: &Path) -> Result<Option<u64>, LearnError> {
+fn newest(folder: &Path) -> Result<Option<u64>> {
     let entries = fs::read_dir(folder).map_err(LearnError::file(folder))?;
     let seconds = |name: &str| name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?.parse::<u64>().ok();
     Ok(entries.flatten().filter_map(|entry| seconds(entry.file_name().to_str()?)).max())
@@ -348,7 +334,7 @@ mod tests {
         let values = [("evaluation/success", 0.25), ("learning/loss", 3.0)];
         let values = values.map(|(tag, value)| (tag.to_owned(), value));
         file.scalars(1001.5, 50_000, &values).unwrap();
-        let bytes = fs::read(file.path()).unwrap();
+        let bytes = fs::read(&file.path).unwrap();
         let events: Vec<_> = records(&bytes).into_iter().map(fields).collect();
         assert_eq!(events.len(), 3);
         assert_eq!(part(&events[0], 3), Some(FILE_VERSION.as_bytes()));
@@ -372,7 +358,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let names: Vec<PathBuf> = [1000.0, 1000.9, 500.0]
             .into_iter()
-            .map(|now_s| EventFile::begin(folder.path(), now_s, 1).unwrap().path().to_owned())
+            .map(|now_s| EventFile::begin(folder.path(), now_s, 1).unwrap().path)
             .collect();
         assert!(names.is_sorted(), "{names:?}");
         assert!(names[2].ends_with("events.out.tfevents.0000001002.sortie"), "{names:?}");

@@ -24,13 +24,12 @@ use sortie_bundle::files::{
 use sortie_nn::layers::products::Products;
 use sortie_nn::tape::Tensor;
 
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 
 /// Version of the files of a checkpoint; another version is refused.
 const FORMAT: u32 = 6;
 /// The oldest version whose networks are still read; nobody can go on from it.
 const READABLE: u32 = 3;
-/// Checkpoints that are kept.
 const KEPT: usize = 2;
 /// What the name of a checkpoint ends with while it is written.
 const UNFINISHED: &str = "unfinished";
@@ -76,8 +75,8 @@ impl FileSum {
 /// Everything that a run depends on, as a [visit](crate::state::State) has found it.
 #[derive(Debug, Default)]
 pub struct Written {
-    /// Name, sizes and numbers of every tensor.
-    pub tensors: Vec<SavedTensor>,
+    /// Name, sizes and numbers of every tensor, as the file has them.
+    pub tensors: Vec<(String, Vec<usize>, Vec<u8>)>,
     /// Everything else by its name.
     pub values: BTreeMap<String, Vec<u8>>,
 }
@@ -116,7 +115,7 @@ impl Checkpoints {
     ///
     /// # Errors
     /// The disk is full, or a file cannot be written.
-    pub fn write(&self, env_steps: u64, written: &Written) -> Result<PathBuf, LearnError> {
+    pub fn write(&self, env_steps: u64, written: &Written) -> Result<PathBuf> {
         std::fs::create_dir_all(&self.folder).map_err(LearnError::file(&self.folder))?;
         let place = self.folder.join(format!("{env_steps:012}"));
         let unfinished = place.with_extension(UNFINISHED);
@@ -147,12 +146,12 @@ impl Checkpoints {
     }
 
     /// Whether there is any, sound or not.
-    pub fn exist(&self) -> Result<bool, LearnError> {
+    pub fn exist(&self) -> Result<bool> {
         Ok(!self.complete()?.is_empty())
     }
 
     /// The newest checkpoint that is whole and of this version.
-    pub fn newest(&self, purpose: OpenFor) -> Result<Found, LearnError> {
+    pub fn newest(&self, purpose: OpenFor) -> Result<Found> {
         let mut refused = Vec::new();
         for place in self.complete()?.iter().rev() {
             match Checkpoint::open(place, purpose) {
@@ -169,7 +168,7 @@ impl Checkpoints {
     }
 
     /// Folders of finished checkpoints, the oldest first.
-    fn complete(&self) -> Result<Vec<PathBuf>, LearnError> {
+    fn complete(&self) -> Result<Vec<PathBuf>> {
         if !self.folder.exists() {
             return Ok(Vec::new());
         }
@@ -188,7 +187,7 @@ impl Checkpoints {
 }
 
 /// Writes the files of a checkpoint into a new folder and forces them to the disk.
-fn write_files(folder: &Path, env_steps: u64, written: &Written) -> Result<(), LearnError> {
+fn write_files(folder: &Path, env_steps: u64, written: &Written) -> Result<()> {
     let bad = |error: &dyn std::fmt::Display| LearnError::format(folder, error);
     let write = |name: &str, parts: &[&[u8]]| {
         let path = folder.join(name);
@@ -228,7 +227,7 @@ pub struct Checkpoint {
 
 impl Checkpoint {
     /// Opens a checkpoint's folder and checks its version and its files.
-    pub fn open(place: &Path, purpose: OpenFor) -> Result<Self, LearnError> {
+    pub fn open(place: &Path, purpose: OpenFor) -> Result<Self> {
         let path = place.join(MANIFEST);
         let text = read_text(&path, MOST_TEXT_BYTES).map_err(LearnError::file(&path))?;
         let table: toml::Table = text.parse().map_err(|e| LearnError::format(&path, e))?;
@@ -264,7 +263,7 @@ impl Checkpoint {
     ///
     /// # Errors
     /// It has not all of them, or of other sizes.
-    pub fn vector(&self, name: &str, tensors: &[Tensor]) -> Result<Vec<f32>, LearnError> {
+    pub fn vector(&self, name: &str, tensors: &[Tensor]) -> Result<Vec<f32>> {
         let parts = tensors.iter().map(|tensor| {
             self.whole_vector(&format!("{name}/{}", tensor.name), tensor.range.len())
         });
@@ -272,7 +271,7 @@ impl Checkpoint {
     }
 
     /// A vector of so many numbers that was saved whole, by network and vector as in `mixer/online`.
-    pub fn whole_vector(&self, name: &str, count: usize) -> Result<Vec<f32>, LearnError> {
+    pub fn whole_vector(&self, name: &str, count: usize) -> Result<Vec<f32>> {
         let file = SafeTensors::deserialize(&self.tensors).map_err(|error| self.bad(error))?;
         let view = file.tensor(name).map_err(|error| self.bad(format!("{name}: {error}")))?;
         let (numbers, rest) = view.data().as_chunks::<4>();
@@ -287,11 +286,11 @@ impl Checkpoint {
     }
 
     /// Everything that is not a parameter vector.
-    pub fn state<T: DeserializeOwned>(&self) -> Result<T, LearnError> {
+    pub fn state<T: DeserializeOwned>(&self) -> Result<T> {
         postcard::from_bytes(&self.read(STATE)?).map_err(|error| self.bad(error))
     }
 
-    fn read(&self, name: &str) -> Result<Vec<u8>, LearnError> {
+    fn read(&self, name: &str) -> Result<Vec<u8>> {
         let path = self.place.join(name);
         let damaged = || LearnError::format(&path, "cut short or damaged: its checksum is another");
         let stated = self.manifest.files.get(name).ok_or_else(damaged)?;
@@ -302,7 +301,7 @@ impl Checkpoint {
         if *stated == FileSum::of([&*content]) { Ok(content) } else { Err(damaged()) }
     }
 
-    fn check_size(&self, name: &str) -> Result<(), LearnError> {
+    fn check_size(&self, name: &str) -> Result<()> {
         let path = self.place.join(name);
         let bytes = std::fs::metadata(&path).map_err(LearnError::file(&path))?.len();
         if self.manifest.files.get(name).is_some_and(|sum| sum.bytes == bytes) {
@@ -323,7 +322,7 @@ pub(crate) fn in_bytes(numbers: &[f32]) -> Vec<u8> {
     numbers.iter().flat_map(|number| number.to_le_bytes()).collect()
 }
 
-fn remove(folder: &Path) -> Result<(), LearnError> {
+fn remove(folder: &Path) -> Result<()> {
     match std::fs::remove_dir_all(folder) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
             Err(LearnError::file(folder)(error))
@@ -331,9 +330,6 @@ fn remove(folder: &Path) -> Result<(), LearnError> {
         _ => Ok(()),
     }
 }
-
-/// Name, sizes and numbers of a tensor, as the file has them.
-pub(crate) type SavedTensor = (String, Vec<usize>, Vec<u8>);
 
 /// Values as postcard writes a map, without a copy of them: each with what stands before it, which is how many there are,
 /// then its name and how long it is.

@@ -5,8 +5,8 @@ use std::time::Instant;
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
-use super::curve::CurvePoint;
-use crate::error::LearnError;
+use super::curve::{CurvePoint, read_lines, write_lines};
+use crate::error::{LearnError, Result};
 use crate::evaluate::Evaluation;
 
 /// How the agents try out and learn.
@@ -34,18 +34,6 @@ pub struct UpdateReport {
     pub loss: f64,
     /// Norm of the gradient before clipping.
     pub gradient_norm: f32,
-}
-
-impl UpdateReport {
-    /// The report, unless its loss is no number any more: then nothing can be learned from here on.
-    pub(crate) fn finite(self, level: &'static str, env_steps: u64) -> Result<Self, LearnError> {
-        let loss = self.loss;
-        if loss.is_finite() {
-            Ok(self)
-        } else {
-            Err(LearnError::Diverged { level, env_steps, loss })
-        }
-    }
 }
 
 /// What a method did since it was asked last.
@@ -77,14 +65,12 @@ pub struct EpisodeCounts {
 /// Sums over the updates since the last evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Updates {
-    /// How many.
     pub(crate) updates: u64,
     loss: f64,
     gradient_norm: f64,
 }
 
 impl Updates {
-    /// Adds one.
     pub(crate) fn add(&mut self, report: UpdateReport) {
         self.updates += 1;
         self.loss += report.loss;
@@ -106,51 +92,49 @@ impl Updates {
     }
 }
 
-impl Window {
-    /// Adds what a method did.
-    pub(crate) fn add(&mut self, reports: Reports, env_steps: u64) -> Result<(), LearnError> {
-        let Reports { agents, allocator, decisions } = reports;
-        for report in agents {
-            self.agents.add(report.finite("agents", env_steps)?);
-        }
-        for report in allocator {
-            self.allocator.add(report.finite("allocator", env_steps)?);
-        }
-        self.episodes.decisions += decisions;
-        Ok(())
-    }
-}
-
 /// What happened since the last evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Window {
-    /// Updates of the agents.
     pub(crate) agents: Updates,
-    /// Updates of what allocates them.
     pub(crate) allocator: Updates,
-    /// Episodes that ended.
+    /// Those that ended.
     pub(crate) episodes: EpisodeCounts,
+}
+
+impl Window {
+    /// Adds what a method did, unless a loss is no number any more: then nothing can be learned from here on.
+    pub(crate) fn add(&mut self, reports: Reports, env_steps: u64) -> Result<()> {
+        let agents = ("agents", reports.agents, &mut self.agents);
+        let allocator = ("allocator", reports.allocator, &mut self.allocator);
+        for (level, reports, updates) in [agents, allocator] {
+            for report in reports {
+                let loss = report.loss;
+                if !loss.is_finite() {
+                    return Err(LearnError::Diverged { level, env_steps, loss });
+                }
+                updates.add(report);
+            }
+        }
+        self.episodes.decisions += reports.decisions;
+        Ok(())
+    }
 }
 
 /// Where a run is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Counters {
-    /// Environment steps taken.
     pub(crate) env_steps: u64,
     /// Optimiser steps before the window.
     pub(crate) updates: Level<u64>,
     /// Decisions before the window.
     pub(crate) decisions: u64,
-    /// Environment steps of the next evaluation.
     pub(crate) next_evaluation: u64,
     /// Seconds since the run began, interruptions left out.
     pub(crate) wall_s: f64,
-    /// Seconds of processor time.
     pub(crate) cpu_s: f64,
-    /// Since the last evaluation.
     pub(crate) window: Window,
     /// The evaluations, as lines of text: a form that describes itself holds metrics of any name.
-    #[serde(with = "super::curve::as_lines")]
+    #[serde(serialize_with = "write_lines", deserialize_with = "read_lines")]
     pub(crate) curve: Vec<CurvePoint>,
 }
 
@@ -172,9 +156,10 @@ impl Counters {
 
     /// Counts the time since the clock was read last.
     pub(crate) fn add_time(&mut self, clock: &mut Clock) {
-        let (wall_s, cpu_s) = clock.lap();
-        self.wall_s += wall_s;
-        self.cpu_s += cpu_s;
+        let now = Clock::start();
+        self.wall_s += (now.wall - clock.wall).as_secs_f64();
+        self.cpu_s += now.cpu_s - clock.cpu_s;
+        *clock = now;
     }
 
     /// A point of the curve: an evaluation, and what happened since the one before.
@@ -220,7 +205,7 @@ impl Counters {
     }
 }
 
-/// Wall and processor time since the last reading.
+/// Wall time, and processor time of all threads of this process, since the last reading.
 #[derive(Debug)]
 pub(crate) struct Clock {
     wall: Instant,
@@ -228,24 +213,10 @@ pub(crate) struct Clock {
 }
 
 impl Clock {
-    /// A clock that starts now.
     pub(crate) fn start() -> Self {
-        Self { wall: Instant::now(), cpu_s: process_cpu_s() }
+        let cpu = clock_gettime(ClockId::ProcessCPUTime);
+        Self { wall: Instant::now(), cpu_s: cpu.tv_sec as f64 + cpu.tv_nsec as f64 * 1e-9 }
     }
-
-    /// Seconds of the wall and of all processors since the last call, or the start.
-    fn lap(&mut self) -> (f64, f64) {
-        let now = Self::start();
-        let lap = ((now.wall - self.wall).as_secs_f64(), now.cpu_s - self.cpu_s);
-        *self = now;
-        lap
-    }
-}
-
-/// Processor time of all threads of this process.
-fn process_cpu_s() -> f64 {
-    let time = clock_gettime(ClockId::ProcessCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 
 use plotters::prelude::*;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
 
 use crate::evaluate::{Evaluation, Score};
 use crate::report::chart::{Canvas, Drawn, svg};
@@ -73,31 +73,17 @@ pub(super) fn to_lines(curve: &[CurvePoint]) -> serde_json::Result<String> {
     Ok(text)
 }
 
-/// Reads what [`to_lines`] wrote.
 pub(super) fn from_lines(text: &str) -> serde_json::Result<Vec<CurvePoint>> {
     text.lines().map(serde_json::from_str).collect()
 }
 
-/// A curve within a form that does not describe itself.
-pub(super) mod as_lines {
-    use serde::de::Error as _;
-    use serde::ser::Error as _;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+/// Writes a curve within a form that does not describe itself.
+pub(super) fn write_lines<S: Serializer>(curve: &[CurvePoint], to: S) -> Result<S::Ok, S::Error> {
+    to_lines(curve).map_err(ser::Error::custom)?.serialize(to)
+}
 
-    use super::{CurvePoint, from_lines, to_lines};
-
-    pub(in crate::run) fn serialize<S: Serializer>(
-        curve: &[CurvePoint],
-        serializer: S,
-    ) -> Result<S::Ok, S::Error> {
-        to_lines(curve).map_err(S::Error::custom)?.serialize(serializer)
-    }
-
-    pub(in crate::run) fn deserialize<'de, D: Deserializer<'de>>(
-        deserializer: D,
-    ) -> Result<Vec<CurvePoint>, D::Error> {
-        from_lines(&String::deserialize(deserializer)?).map_err(D::Error::custom)
-    }
+pub(super) fn read_lines<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<CurvePoint>, D::Error> {
+    from_lines(&String::deserialize(from)?).map_err(de::Error::custom)
 }
 
 /// Greedy episodes of the averaged weights at the end of a run, never used during the run.

@@ -6,21 +6,22 @@ use std::path::{Path, PathBuf};
 
 use sortie_bundle::files::{self, Durability, MOST_BYTES, read_text, replace_file};
 
-use super::{Checkpoints, CurvePoint, RunDescription, RunResult, TrainingPoint, curve};
-use crate::error::LearnError;
+use super::{Checkpoints, CurvePoint, RunDescription, RunResult, curve};
+use crate::error::{LearnError, Result};
 use crate::evaluate::Score;
 use crate::report::{RunEvents, to_csv};
 
 const LOCK: &str = "lock";
-const DESCRIPTION: &str = "train.toml";
-const CURVE: &str = "curve.json";
-const RESULT: &str = "result.json";
+pub(crate) const DESCRIPTION: &str = "train.toml";
+pub(crate) const CURVE: &str = "curve.json";
+pub(crate) const RESULT: &str = "result.json";
 
 /// The files of a run.
 #[derive(Debug)]
 pub struct RunFolder {
     folder: PathBuf,
-    events: RunEvents,
+    /// What TensorBoard is told.
+    pub(crate) events: RunEvents,
     /// Held by the trainer of the run. The kernel frees it when its holder ends, however that is.
     lock: Option<File>,
 }
@@ -32,7 +33,7 @@ impl RunFolder {
     }
 
     /// The folder of a run to go on with, which nobody else may do meanwhile.
-    pub fn claim(folder: &Path) -> Result<Self, LearnError> {
+    pub fn claim(folder: &Path) -> Result<Self> {
         let mut run = Self::new(folder);
         let description = run.description_path();
         fs::metadata(&description).map_err(LearnError::file(&description))?;
@@ -44,7 +45,7 @@ impl RunFolder {
     }
 
     /// Makes the folder and claims it; refuses one that holds anything.
-    pub fn create(&mut self, description: &RunDescription) -> Result<(), LearnError> {
+    pub fn create(&mut self, description: &RunDescription) -> Result<()> {
         let folder = &self.folder;
         if self.description_path().exists() {
             let reason =
@@ -60,7 +61,7 @@ impl RunFolder {
         self.write(DESCRIPTION, Ok::<_, String>(description.to_toml()?))
     }
 
-    fn lock(&mut self) -> Result<(), LearnError> {
+    fn lock(&mut self) -> Result<()> {
         let path = self.folder.join(LOCK);
         let mut options = OpenOptions::new();
         let file = options.read(true).write(true).create(true).truncate(false).open(&path);
@@ -81,7 +82,7 @@ impl RunFolder {
     }
 
     /// Replaces `train.toml` of a run whose figures are void from now on.
-    pub fn rewrite_description(&self, description: &RunDescription) -> Result<(), LearnError> {
+    pub fn rewrite_description(&self, description: &RunDescription) -> Result<()> {
         let result = self.folder.join(RESULT);
         match fs::remove_file(&result) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
@@ -93,7 +94,7 @@ impl RunFolder {
     }
 
     /// How the run learns.
-    pub fn read_description(&self) -> Result<RunDescription, LearnError> {
+    pub fn read_description(&self) -> Result<RunDescription> {
         let path = self.description_path();
         let text = read_text(&path, MOST_BYTES).map_err(LearnError::file(&path))?;
         RunDescription::from_toml(&text).map_err(|error| LearnError::format(path, error))
@@ -104,23 +105,8 @@ impl RunFolder {
         Checkpoints::new(&self.folder.join("checkpoints"))
     }
 
-    /// What TensorBoard was told of later steps by earlier sessions is void.
-    pub fn goes_on_from(&mut self, env_steps: u64) {
-        self.events.goes_on_from(env_steps);
-    }
-
-    /// Tells TensorBoard how training itself goes.
-    pub fn write_training(&mut self, point: &TrainingPoint) -> Result<(), LearnError> {
-        self.events.add_training(point)
-    }
-
     /// Replaces `curve.json`, `curve.csv` and `curve.svg`, and tells TensorBoard of the newest point.
-    pub fn write_curve(
-        &mut self,
-        title: &str,
-        score: Score,
-        curve: &[CurvePoint],
-    ) -> Result<(), LearnError> {
+    pub fn write_curve(&mut self, title: &str, score: Score, curve: &[CurvePoint]) -> Result<()> {
         self.write(CURVE, curve::to_lines(curve))?;
         self.write("curve.csv", to_csv(curve))?;
         self.events.add(curve)?;
@@ -128,25 +114,15 @@ impl RunFolder {
     }
 
     /// Writes `result.json`.
-    pub fn write_result(&self, result: &RunResult) -> Result<(), LearnError> {
+    pub fn write_result(&self, result: &RunResult) -> Result<()> {
         self.write(RESULT, serde_json::to_string_pretty(result))
     }
 
     /// Replaces a file by a text, if that could be made.
-    fn write(&self, name: &str, text: Result<String, impl ToString>) -> Result<(), LearnError> {
+    fn write(&self, name: &str, text: Result<String, impl ToString>) -> Result<()> {
         let path = self.folder.join(name);
         let text = text.map_err(|error| LearnError::format(&path, error))?;
         replace_file(&path, text.as_bytes(), Durability::Forced).map_err(LearnError::file(path))
-    }
-
-    /// Its evaluations up to now.
-    pub fn read_curve(&self) -> Result<Vec<CurvePoint>, LearnError> {
-        let path = self.folder.join(CURVE);
-        if !path.exists() {
-            return Ok(Vec::new());
-        }
-        let text = read_text(&path, MOST_BYTES).map_err(LearnError::file(&path))?;
-        curve::from_lines(&text).map_err(|error| LearnError::format(path, error))
     }
 
     fn description_path(&self) -> PathBuf {
@@ -155,7 +131,7 @@ impl RunFolder {
 }
 
 /// Something in a folder that no run left there before it began.
-fn foreign_entry(folder: &Path) -> Result<Option<String>, LearnError> {
+fn foreign_entry(folder: &Path) -> Result<Option<String>> {
     let entries = fs::read_dir(folder).map_err(LearnError::file(folder))?;
     let names = entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned());
     Ok(names.filter(|name| name != LOCK && !files::is_draft(name)).min())

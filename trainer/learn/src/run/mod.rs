@@ -5,7 +5,7 @@
 //! | `train.toml` | method, version, seed, threads, and the complete configuration |
 //! | `curve.json` | one JSON object per evaluation, see [`CurvePoint`] |
 //! | `curve.csv` | the same as comma-separated values |
-//! | `events.out.tfevents.*` | the same for TensorBoard, and how training goes in between, a file per session, see [`RunEvents`](crate::report::RunEvents) |
+//! | `events.out.tfevents.*` | the same for TensorBoard, and how training goes in between, a file per session |
 //! | `curve.svg` | success against environment steps |
 //! | `lock` | the number of the process that learns here; held by the kernel as long as it lives |
 //! | `result.json` | of a finished run: greedy success on fresh episodes, see [`RunResult`] |
@@ -20,10 +20,10 @@ mod setup;
 
 use std::path::Path;
 
-use sortie_bundle::files::{MOST_TEXT_BYTES, read_text};
+use sortie_bundle::files::{MOST_BYTES, MOST_TEXT_BYTES, read_text};
 use sortie_nn::layers::products::Products;
 
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 
 pub use crate::configuration::RunConfig;
 pub use checkpoint::{Checkpoint, Checkpoints};
@@ -31,19 +31,25 @@ pub(crate) use counters::{Clock, Counters};
 pub use counters::{EpisodeCounts, Level, Rates, Reports, UpdateReport};
 pub use curve::{CurvePoint, RunResult};
 pub use folder::RunFolder;
+pub(crate) use folder::{CURVE, DESCRIPTION, RESULT};
 pub(crate) use progress::Meter;
-pub use progress::{Observer, Outcome, Progress, TrainingPoint};
+pub use progress::{Observer, Outcome, TrainingPoint};
 pub use setup::{Difference, EnvironmentChoice, RunDescription, Setup, keys_in};
 pub(crate) use setup::{rename_older, renamed};
 
 /// The evaluations of the run in a folder.
-pub fn read_curve(folder: &Path) -> Result<Vec<CurvePoint>, LearnError> {
-    RunFolder::new(folder).read_curve()
+pub fn read_curve(folder: &Path) -> Result<Vec<CurvePoint>> {
+    let path = folder.join(CURVE);
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let text = read_text(&path, MOST_BYTES).map_err(LearnError::file(&path))?;
+    curve::from_lines(&text).map_err(|error| LearnError::format(path, error))
 }
 
 /// The name of the method that the run in a folder learns by.
-pub fn method_of(folder: &Path) -> Result<String, LearnError> {
-    let path = folder.join("train.toml");
+pub fn method_of(folder: &Path) -> Result<String> {
+    let path = folder.join(DESCRIPTION);
     let text = read_text(&path, MOST_TEXT_BYTES).map_err(LearnError::file(&path))?;
     let table =
         crate::configuration::parsed(&text).map_err(|error| LearnError::format(&path, error))?;
@@ -52,14 +58,14 @@ pub fn method_of(folder: &Path) -> Result<String, LearnError> {
 }
 
 /// How the run in a folder learns.
-pub fn read_description(folder: &Path) -> Result<RunDescription, LearnError> {
+pub fn read_description(folder: &Path) -> Result<RunDescription> {
     RunFolder::new(folder).read_description()
 }
 
 /// Has the run in a folder learn for so many environment steps: more than it was configured for.
 ///
 /// Nothing else of its configuration changes; its result is void, and it is to be resumed.
-pub fn prolong(folder: &Path, steps: u64) -> Result<(), LearnError> {
+pub fn prolong(folder: &Path, steps: u64) -> Result<()> {
     let files = RunFolder::claim(folder)?;
     let mut description = files.read_description()?;
     let before = std::mem::replace(&mut description.config.run.steps, steps);
@@ -73,7 +79,7 @@ pub fn prolong(folder: &Path, steps: u64) -> Result<(), LearnError> {
 
 /// Has the run in a folder go on with the widest products of this processor where it lacks those that the run
 /// learns with; says which it takes instead.
-pub fn replace_products(folder: &Path) -> Result<Option<String>, LearnError> {
+pub fn replace_products(folder: &Path) -> Result<Option<String>> {
     let files = RunFolder::claim(folder)?;
     let mut description = files.read_description()?;
     let run = &mut description.config.run;

@@ -5,48 +5,30 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use super::counters::{EpisodeCounts, Updates, Window};
+use super::counters::{EpisodeCounts, Window};
 use super::{Counters, CurvePoint, Rates, RunResult};
+use crate::method::Now;
 
 /// Is told how a run goes.
 pub trait Observer {
     /// Some steps were taken; called several hundred times a second.
-    fn progress(&mut self, progress: &Progress) {
-        let _ = progress;
-    }
+    fn progress(&mut self, _now: Now) {}
 
     /// Training went on for a while.
-    fn trained(&mut self, point: &TrainingPoint) {
-        let _ = point;
-    }
+    fn trained(&mut self, _point: &TrainingPoint) {}
 
     /// An evaluation was made.
-    fn evaluated(&mut self, point: &CurvePoint) {
-        let _ = point;
-    }
+    fn evaluated(&mut self, _point: &CurvePoint) {}
 
     /// A checkpoint was written.
-    fn saved(&mut self, checkpoint: &Path) {
-        let _ = checkpoint;
-    }
+    fn saved(&mut self, _checkpoint: &Path) {}
 
     /// The run has ended and was measured on fresh episodes.
-    fn finished(&mut self, result: &RunResult) {
-        let _ = result;
-    }
+    fn finished(&mut self, _result: &RunResult) {}
 }
 
 /// Listens to nothing.
 impl Observer for () {}
-
-/// How far a run is.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Progress {
-    /// Environment steps taken.
-    pub env_steps: u64,
-    /// Environment steps of the whole run.
-    pub env_steps_total: u64,
-}
 
 /// How a trainer ended its work for now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,7 +95,6 @@ impl Meter {
             return None;
         }
         let (now, before) = (&counters.window, &self.window);
-        let mean = |now: &Updates, before: &Updates| now.mean_loss_since(before);
         let share = |sum: fn(&EpisodeCounts) -> f64| {
             let episodes = now.episodes.episodes - before.episodes.episodes;
             (episodes > 0).then(|| (sum(&now.episodes) - sum(&before.episodes)) / episodes as f64)
@@ -123,8 +104,8 @@ impl Meter {
             steps_per_second: steps as f64 / self.since.elapsed().as_secs_f64().max(1e-9),
             return_mean: share(|episodes| episodes.return_sum),
             success: share(|episodes| episodes.solved as f64),
-            loss: mean(&now.agents, &before.agents),
-            allocator_loss: mean(&now.allocator, &before.allocator),
+            loss: now.agents.mean_loss_since(&before.agents),
+            allocator_loss: now.allocator.mean_loss_since(&before.allocator),
             epsilon: rates.epsilon,
             learning_rate: rates.learning_rate,
         };

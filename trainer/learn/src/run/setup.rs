@@ -10,7 +10,7 @@ use sortie_nn::layers::products::Products;
 use toml::{Table, Value};
 
 use crate::configuration::{self, RUN as RUN_SECTION, RUN_KEYS, RunConfig, WHERE, WIDEST};
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 
 /// Where a run learns.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -91,36 +91,30 @@ impl Setup {
     ///
     /// # Errors
     /// A key is unknown or has an impossible value.
-    pub fn own<T: serde::de::DeserializeOwned>(&self) -> Result<T, LearnError> {
-        let own = self.own.clone();
-        own.try_into().map_err(|error: toml::de::Error| LearnError::Config(error.message().into()))
+    pub fn own<T: serde::de::DeserializeOwned>(&self) -> Result<T> {
+        configuration::as_type(self.own.clone().into())
     }
 
     /// Everything but the method's name, as the file has it.
-    ///
-    /// # Errors
-    /// A value cannot be written in TOML.
-    pub fn table(&self) -> Result<Table, LearnError> {
+    pub fn table(&self) -> Result<Table> {
         let mut table = self.own.clone();
         table.extend(self.common()?);
         Ok(table)
     }
 
     /// What the setup of every method has.
-    fn common(&self) -> Result<Table, LearnError> {
+    fn common(&self) -> Result<Table> {
         let environment = configuration::table_of(&self.environment)?;
         let run = configuration::table_of(&self.run)?;
-        Ok([(ENVIRONMENT, environment), (RUN, run)]
-            .map(|(name, part)| (name.to_owned(), part.into()))
-            .into_iter()
-            .collect())
+        let parts = [(ENVIRONMENT, environment), (RUN, run)];
+        Ok(parts.into_iter().map(|(name, part)| (name.to_owned(), part.into())).collect())
     }
 
     /// Refuses what no method can learn by.
     ///
     /// # Errors
     /// A value about the environment or the run is outside the limits of its key.
-    pub fn check(&self) -> Result<(), LearnError> {
+    pub fn check(&self) -> Result<()> {
         configuration::check_table("", &self.common()?, &[&WHERE[..], &[RUN_SECTION]].concat())
     }
 
@@ -128,7 +122,7 @@ impl Setup {
     ///
     /// # Errors
     /// The method's own configuration is nothing that a file can hold.
-    pub fn to_toml(&self) -> Result<String, LearnError> {
+    pub fn to_toml(&self) -> Result<String> {
         configuration::to_toml(&self.table()?)
     }
 
@@ -136,14 +130,12 @@ impl Setup {
     ///
     /// # Errors
     /// It is no TOML, or lacks what every method has, or that is outside its limits.
-    pub fn from_text(method: &str, text: &str) -> Result<Self, LearnError> {
+    pub fn from_text(method: &str, text: &str) -> Result<Self> {
         Self::from_table(method, configuration::parsed(text)?)
     }
 
-    /// Reads a file's table.
-    pub(crate) fn from_table(method: &str, mut table: Table) -> Result<Self, LearnError> {
+    pub(crate) fn from_table(method: &str, mut table: Table) -> Result<Self> {
         rename_older(&mut table);
-        let bad = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
         let mut take = |name: &str| {
             let missing = || LearnError::Config(format!("there is no section `{name}`"));
             table.remove(name).ok_or_else(missing)
@@ -151,8 +143,8 @@ impl Setup {
         let (environment, run) = (take(ENVIRONMENT)?, take(RUN)?);
         let setup = Self {
             method: method.to_owned(),
-            environment: environment.try_into().map_err(bad)?,
-            run: run.try_into().map_err(bad)?,
+            environment: configuration::as_type(environment)?,
+            run: configuration::as_type(run)?,
             own: table,
         };
         setup.check()?;
@@ -182,7 +174,7 @@ pub(crate) fn renamed(assignment: &str) -> String {
 
 impl RunConfig {
     /// Writes in the place of `widest` what that is on this processor, and refuses what it does not have.
-    pub fn settle_products(&mut self) -> Result<(), LearnError> {
+    pub fn settle_products(&mut self) -> Result<()> {
         if self.products == WIDEST {
             self.products = Products::widest().to_string();
         }
@@ -190,7 +182,7 @@ impl RunConfig {
     }
 
     /// The products of a run, if this processor has them.
-    pub fn settled_products(&self) -> Result<Products, LearnError> {
+    pub fn settled_products(&self) -> Result<Products> {
         let here = Products::widest();
         match self.products.parse() {
             _ if self.products == WIDEST => Ok(here),
@@ -222,7 +214,7 @@ impl RunDescription {
     }
 
     /// The file's text: four lines about the run, then the configuration.
-    pub fn to_toml(&self) -> Result<String, LearnError> {
+    pub fn to_toml(&self) -> Result<String> {
         let Self { version, seed, threads, config } = self;
         let (method, config) = (&config.method, config.to_toml()?);
         Ok(format!(
@@ -231,7 +223,7 @@ impl RunDescription {
     }
 
     /// Reads the file's text.
-    pub fn from_toml(text: &str) -> Result<Self, LearnError> {
+    pub fn from_toml(text: &str) -> Result<Self> {
         #[derive(Deserialize)]
         struct About {
             method: String,
@@ -241,9 +233,8 @@ impl RunDescription {
         }
         let mut table = configuration::parsed(text)?;
         let about = RUN_KEYS.iter().filter_map(|key| table.remove_entry(*key));
-        let bad = |error: toml::de::Error| LearnError::Config(error.message().to_owned());
         let About { method, version, seed, threads } =
-            about.collect::<Table>().try_into().map_err(bad)?;
+            configuration::as_type(Value::Table(about.collect()))?;
         settle_older(&mut table);
         Ok(Self { version, seed, threads, config: Setup::from_table(&method, table)? })
     }
@@ -271,10 +262,9 @@ pub struct Difference {
 impl Difference {
     /// The keys whose values are others in `theirs`: `run.steps` first, on which others may depend, then in the order of
     /// the alphabet.
-    pub fn between(ours: &Setup, theirs: &Setup) -> Result<Vec<Self>, LearnError> {
-        let tables = [ours, theirs].map(|setup| configuration::parsed(&setup.to_toml()?));
-        let [ours, theirs] = tables;
-        Ok(Self::between_tables(&ours?, &theirs?))
+    pub fn between(ours: &Setup, theirs: &Setup) -> Result<Vec<Self>> {
+        let table = |setup: &Setup| configuration::parsed(&setup.to_toml()?);
+        Ok(Self::between_tables(&table(ours)?, &table(theirs)?))
     }
 
     /// The same of what two files say.
@@ -298,13 +288,8 @@ impl Difference {
 }
 
 /// The keys that a file has a value for.
-pub fn keys_in(text: &str) -> Result<Vec<String>, LearnError> {
-    Ok(values(text)?.into_keys().collect())
-}
-
-/// All values of a file by their keys.
-fn values(text: &str) -> Result<BTreeMap<String, Value>, LearnError> {
-    Ok(by_key(&configuration::parsed(text)?))
+pub fn keys_in(text: &str) -> Result<Vec<String>> {
+    Ok(by_key(&configuration::parsed(text)?).into_keys().collect())
 }
 
 fn by_key(table: &Table) -> BTreeMap<String, Value> {

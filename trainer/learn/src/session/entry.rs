@@ -4,7 +4,7 @@ use sortie_envs::{Environment, Spec};
 use toml::Table;
 
 use crate::configuration::{self, RUN, RUN_KEYS, Section, WHERE, find};
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 use crate::method::Method;
 use crate::run::{Setup, rename_older, renamed};
 
@@ -35,7 +35,7 @@ pub struct MethodEntry {
     /// Why it cannot learn in an environment.
     pub misfit: fn(&Spec) -> Option<&'static str>,
     /// Makes one, as it is before its first step, from a setup that was checked, for an environment that fits.
-    pub open: fn(&Opening<'_>) -> Result<Box<dyn Method>, LearnError>,
+    pub open: fn(&Opening<'_>) -> Result<Box<dyn Method>>,
 }
 
 /// A setup that a method comes with.
@@ -74,21 +74,15 @@ impl MethodEntry {
     ///
     /// # Errors
     /// It has none of that name.
-    pub fn preset(&self, name: &str) -> Result<Setup, LearnError> {
+    pub fn preset(&self, name: &str) -> Result<Setup> {
         let found = self.presets.iter().find(|preset| preset.name == name);
-        let known: Vec<&str> = self.presets.iter().map(|preset| preset.name).collect();
         let unknown = || {
-            let known = known.join("`, `");
-            LearnError::Config(format!(
-                "`{}` has no preset `{name}`; there are `{known}`",
-                self.name
-            ))
+            let known: Vec<&str> = self.presets.iter().map(|preset| preset.name).collect();
+            let (method, known) = (self.name, known.join("`, `"));
+            LearnError::Config(format!("`{method}` has no preset `{name}`; there are `{known}`"))
         };
-        Ok(self.named((found.ok_or_else(unknown)?.setup)()))
-    }
-
-    fn named(&self, setup: Setup) -> Setup {
-        Setup { method: self.name.to_owned(), ..setup }
+        let setup = (found.ok_or_else(unknown)?.setup)();
+        Ok(Setup { method: self.name.to_owned(), ..setup })
     }
 
     /// Reads a file; what is missing is as the first preset of the same learner has it.
@@ -97,7 +91,7 @@ impl MethodEntry {
     ///
     /// # Errors
     /// A key is unknown or has a value outside its limits.
-    pub fn read(&self, text: &str) -> Result<Setup, LearnError> {
+    pub fn read(&self, text: &str) -> Result<Setup> {
         let mut table = configuration::parsed(text)?;
         rename_older(&mut table);
         if RUN_KEYS.iter().filter_map(|key| table.remove(*key)).count() == RUN_KEYS.len() {
@@ -116,7 +110,7 @@ impl MethodEntry {
     ///
     /// # Errors
     /// The key is unknown or the value outside its limits.
-    pub fn set(&self, setup: &Setup, assignment: &str) -> Result<Setup, LearnError> {
+    pub fn set(&self, setup: &Setup, assignment: &str) -> Result<Setup> {
         let sections = self.sections(&setup.own);
         let table = configuration::assigned(&sections, setup.table()?, &renamed(assignment))?;
         Setup::from_table(self.name, table)
@@ -126,20 +120,19 @@ impl MethodEntry {
     ///
     /// # Errors
     /// The setup has no such keys, or the value is outside the limits of one.
-    pub fn set_flag(&self, setup: &Setup, name: &str, value: &str) -> Result<Setup, LearnError> {
+    pub fn set_flag(&self, setup: &Setup, name: &str, value: &str) -> Result<Setup> {
         let sections = self.sections(&setup.own);
         let stands = |flag: &&Flag| {
-            let keys = flag.assignments.iter().filter_map(|assignment| assignment.split_once('='));
-            flag.name == name
-                && keys
-                    .into_iter()
-                    .all(|(key, _)| find(&sections, &key.replace("{}", value)).is_some())
+            let mut keys =
+                flag.assignments.iter().filter_map(|assignment| assignment.split_once('='));
+            let is_there =
+                |(key, _): (&str, _)| find(&sections, &key.replace("{}", value)).is_some();
+            flag.name == name && keys.all(is_there)
         };
         let flag = self.flags.iter().find(stands).ok_or_else(|| {
             let method = self.name;
-            LearnError::Config(format!(
-                "this `{method}` has no key that `{name}` sets: drop `{name}`"
-            ))
+            let reason = format!("this `{method}` has no key that `{name}` sets: drop `{name}`");
+            LearnError::Config(reason)
         })?;
         let set = |setup, assignment: &&str| self.set(&setup, &assignment.replace("{}", value));
         flag.assignments.iter().try_fold(setup.clone(), set)
@@ -161,10 +154,7 @@ impl MethodEntry {
     }
 
     /// Refuses a setup with a value outside the limits of its key, such as that of a file that somebody changed.
-    ///
-    /// # Errors
-    /// The first such key.
-    pub fn check(&self, setup: &Setup) -> Result<(), LearnError> {
+    pub fn check(&self, setup: &Setup) -> Result<()> {
         configuration::check_table("", &setup.table()?, &self.sections(&setup.own))
     }
 
@@ -172,7 +162,7 @@ impl MethodEntry {
     ///
     /// # Errors
     /// The setup has an impossible value, or it cannot learn in such an environment.
-    pub fn method(&self, opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
+    pub fn method(&self, opening: &Opening<'_>) -> Result<Box<dyn Method>> {
         self.check(opening.setup)?;
         let spec = opening.environment.spec();
         match (self.misfit)(spec) {
@@ -188,7 +178,7 @@ impl MethodEntry {
     ///
     /// # Errors
     /// The setup lacks a key.
-    pub fn explained(&self, setup: &Setup) -> Result<String, LearnError> {
+    pub fn explained(&self, setup: &Setup) -> Result<String> {
         configuration::explained(&self.sections(&setup.own), &setup.table()?)
     }
 

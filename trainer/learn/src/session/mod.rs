@@ -20,15 +20,15 @@ pub use entry::{Flag, MethodEntry, Opening, Preset};
 
 pub use crate::run::{EnvironmentChoice, Setup};
 
-use crate::error::LearnError;
+use crate::error::Result;
 use crate::evaluate::{Evaluation, Score};
 use crate::method::{Method, Now};
 use crate::play::{self, Play};
 use crate::random::{Purpose, generator};
 use crate::run::checkpoint::{OpenFor, Written};
 use crate::run::{
-    Clock, Counters, CurvePoint, Meter, Observer, Outcome, Progress, Rates, RunConfig,
-    RunDescription, RunFolder, RunResult,
+    Clock, Counters, CurvePoint, Meter, Observer, Outcome, Rates, RunConfig, RunDescription,
+    RunFolder, RunResult,
 };
 use crate::state::State;
 
@@ -56,7 +56,7 @@ impl Session {
         environment: Box<dyn Environment>,
         method: Box<dyn Method>,
         folder: &Path,
-    ) -> Result<Self, LearnError> {
+    ) -> Result<Self> {
         description.config.run.settle_products()?;
         let folder = RunFolder::new(folder);
         let mut session = Self::start(description, environment, method, folder);
@@ -74,8 +74,8 @@ impl Session {
     /// Another process learns in the folder, or its files cannot be read.
     pub fn resume(
         folder: &Path,
-        open: impl FnOnce(&RunDescription) -> Result<Parts, LearnError>,
-    ) -> Result<Self, LearnError> {
+        open: impl FnOnce(&RunDescription) -> Result<Parts>,
+    ) -> Result<Self> {
         let files = RunFolder::claim(folder)?;
         let mut description = files.read_description()?;
         description.config.run.settle_products()?;
@@ -113,13 +113,13 @@ impl Session {
     }
 
     /// Begins with the weights of another run, where the setup says so.
-    fn take_over(&mut self) -> Result<(), LearnError> {
+    fn take_over(&mut self) -> Result<()> {
         let from = &self.description.config.run.from;
         if from.is_empty() { Ok(()) } else { self.method.take_over(Path::new(from)) }
     }
 
     /// Names everything that the run depends on.
-    fn visit(&mut self, state: &mut State<'_>) -> Result<(), LearnError> {
+    fn visit(&mut self, state: &mut State<'_>) -> Result<()> {
         state.value("counters", &mut self.counters)?;
         self.play.state(state)?;
         self.method.state(state)
@@ -160,7 +160,7 @@ impl Session {
 ///
 /// # Errors
 /// There is no sound checkpoint, or it is of another method.
-pub fn load_weights(folder: &Path, method: &mut dyn Method) -> Result<Vec<String>, LearnError> {
+pub fn load_weights(folder: &Path, method: &mut dyn Method) -> Result<Vec<String>> {
     let found = RunFolder::new(folder).checkpoints().newest(OpenFor::Use)?;
     method.state(&mut State::weights(&found.checkpoint))?;
     Ok(found.refused)
@@ -175,16 +175,12 @@ impl Session {
     ///
     /// # Errors
     /// A file cannot be written, or learning has left the numbers.
-    pub fn run(
-        &mut self,
-        observer: &mut dyn Observer,
-        stop: &AtomicBool,
-    ) -> Result<Outcome, LearnError> {
+    pub fn run(&mut self, observer: &mut dyn Observer, stop: &AtomicBool) -> Result<Outcome> {
         let schedule = self.description.config.run.clone();
         schedule.settled_products()?.use_here();
         let mut saves = Saves::new(&schedule, self.counters.env_steps);
         let mut meter = Meter::new(schedule.evaluate_every, &self.counters);
-        self.folder.goes_on_from(self.counters.env_steps);
+        self.folder.events.goes_on_from(self.counters.env_steps);
         if self.counters.env_steps == 0 {
             self.save(&mut saves, observer)?;
         }
@@ -199,7 +195,7 @@ impl Session {
             }
             if let Some(point) = meter.measure(&self.counters, self.rates()) {
                 observer.trained(&point);
-                self.folder.write_training(&point)?;
+                self.folder.events.add_training(&point)?;
             }
             if self.counters.env_steps >= self.counters.next_evaluation {
                 self.counters.next_evaluation += schedule.evaluate_every;
@@ -229,7 +225,7 @@ impl Session {
     }
 
     /// Takes some environment steps and makes the updates that are due.
-    fn step(&mut self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+    fn step(&mut self, observer: &mut dyn Observer) -> Result<()> {
         let now = self.now();
         let window = &mut self.counters.window;
         let steps = self.play.round(&mut *self.method, now, &mut window.episodes)?;
@@ -237,21 +233,17 @@ impl Session {
         let now = self.now();
         let reports = self.method.update(self.play.environment(), now)?;
         self.counters.window.add(reports, now.env_steps)?;
-        observer.progress(&Progress { env_steps: now.env_steps, env_steps_total: now.of });
+        observer.progress(now);
         Ok(())
     }
 
     /// Measures what has been learned on so many greedy episodes.
-    fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation, LearnError> {
+    fn measure(&self, episodes: usize, seed: u64) -> Result<Evaluation> {
         play::evaluate(&*self.environment, &mut *self.method.team(), episodes, seed)
     }
 
     /// Measures what has been learned, adds a point to the curve, and writes a checkpoint.
-    fn evaluate(
-        &mut self,
-        saves: &mut Saves,
-        observer: &mut dyn Observer,
-    ) -> Result<(), LearnError> {
+    fn evaluate(&mut self, saves: &mut Saves, observer: &mut dyn Observer) -> Result<()> {
         self.counters.add_time(&mut saves.clock);
         let RunDescription { seed, config, .. } = &self.description;
         let title = format!("{} on {}, seed {seed}", config.method, config.environment);
@@ -272,7 +264,7 @@ impl Session {
     }
 
     /// Measures the finished run on episodes that no run uses before its end.
-    fn report(&self, observer: &mut dyn Observer) -> Result<(), LearnError> {
+    fn report(&self, observer: &mut dyn Observer) -> Result<()> {
         let Setup { environment, run, .. } = &self.description.config;
         if run.final_episodes == 0 {
             return Ok(());
@@ -289,7 +281,7 @@ impl Session {
     }
 
     /// Writes a checkpoint, unless the newest is of this very step.
-    fn save(&mut self, saves: &mut Saves, observer: &mut dyn Observer) -> Result<(), LearnError> {
+    fn save(&mut self, saves: &mut Saves, observer: &mut dyn Observer) -> Result<()> {
         let env_steps = self.counters.env_steps;
         if saves.env_steps == Some(env_steps) {
             return Ok(());

@@ -10,12 +10,12 @@ use sortie_envs::Split;
 struct Idle;
 
 impl Method for Idle {
-    fn act(&mut self, Ask { actions, .. }: Ask<'_>, _: Now) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { actions, .. }: Ask<'_>, _: Now) -> Result<()> {
         actions.fill(1);
         Ok(())
     }
 
-    fn remember(&mut self, _: &Transition<'_>) -> Result<(), LearnError> {
+    fn remember(&mut self, _: &Transition<'_>) -> Result<()> {
         Ok(())
     }
 
@@ -27,7 +27,7 @@ impl Method for Idle {
         Box::new(RandomTeam::new(1))
     }
 
-    fn state(&mut self, _: &mut State<'_>) -> Result<(), LearnError> {
+    fn state(&mut self, _: &mut State<'_>) -> Result<()> {
         Ok(())
     }
 }

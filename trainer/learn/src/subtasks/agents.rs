@@ -2,69 +2,47 @@
 
 use sortie_core::policy::{NO_ACTION as NO_ACTION_YET, Observation, Policy, visible};
 use sortie_core::{DecideError, EntityMask};
-use sortie_envs::{ActionSet, Random, UNASSIGNED, members};
+use sortie_envs::{Random, UNASSIGNED};
 
+use super::allocators::tell_allocation;
 use super::{Agents, AllocatedScene, NO_ACTION};
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
+use crate::play::{Shown, mask, write_actions};
 use crate::random::{Purpose, generator};
 
 /// What the agents of a scene are shown under the subtask mask: a row for every entity, as in frames, of which each sees those
 /// that are there and of its own subtask (dissertation section 7.3).
 #[derive(Clone, Debug, Default)]
 pub struct MaskedViews {
-    features: usize,
-    rows: Vec<f32>,
+    shown: Shown,
     present: EntityMask,
     last_actions: Vec<u16>,
     entity_task: Vec<u32>,
     subtasks: Vec<Option<u8>>,
-    /// `[agents][U]`
-    available: Vec<Vec<u16>>,
 }
 
 impl MaskedViews {
     /// Lays out what a scene shows.
     pub fn look(&mut self, scene: &AllocatedScene<'_>) {
         let (seen, agents) = (scene.seen, scene.seen.agents());
-        let shape = scene.environment.spec().shape;
-        self.features = shape.features;
-        self.rows.clear();
-        self.rows.resize(shape.entities * shape.features, 0.0);
-        for entity in members(seen.present) {
-            let row = &mut self.rows[entity * shape.features..][..shape.features];
-            seen.rows.write_dense(seen.row_of(entity), row);
-        }
-        let words = [seen.present as u64, (seen.present >> 64) as u64];
-        self.present = EntityMask::from_words(&words);
+        self.shown.look(seen, scene.environment.spec().shape);
+        self.present = mask(seen.present);
         let widen =
             |action: &u8| if *action == NO_ACTION { NO_ACTION_YET } else { (*action).into() };
         self.last_actions.clear();
         self.last_actions.extend(scene.last_actions[..agents].iter().map(widen));
-        let task_bit = |task: &u8| 1_u32.checked_shl((*task).into()).unwrap_or(0);
-        self.entity_task.clear();
-        self.entity_task.extend(&seen.entity_task);
-        let own = scene.allocation[..agents].iter().map(task_bit);
-        self.entity_task.iter_mut().zip(own).for_each(|(tasks, own)| *tasks = own);
+        self.entity_task.clone_from(&seen.entity_task);
+        tell_allocation(&mut self.entity_task, &scene.allocation[..agents]);
         let subtask = |task: &u8| (*task != UNASSIGNED).then_some(*task);
         self.subtasks.clear();
         self.subtasks.extend(scene.allocation[..agents].iter().map(subtask));
-        let codes = |set: &ActionSet| -> Vec<u16> {
-            (0..shape.actions).map(|action| (set >> action & 1) as u16).collect()
-        };
-        self.available.clear();
-        self.available.extend(seen.available[..agents].iter().map(codes));
     }
 
     /// What each agent sees, in their order.
     pub fn observations(&self) -> impl Iterator<Item = Observation<'_>> {
-        let agents = self.available.iter().zip(&self.subtasks).enumerate();
-        agents.map(move |(self_index, (available, subtask))| Observation {
-            rows: &self.rows,
-            stride: self.features,
-            last_actions: &self.last_actions,
-            visible: visible(self.present, self.present, &self.entity_task, *subtask),
-            self_index,
-            available,
+        self.subtasks.iter().enumerate().map(|(agent, subtask)| {
+            let visible = visible(self.present, self.present, &self.entity_task, *subtask);
+            self.shown.to(agent, visible, &self.last_actions)
         })
     }
 }
@@ -89,15 +67,13 @@ impl<P: Policy> Agents for PolicyAgents<P> {
         scenes: &[AllocatedScene<'_>],
         actions: &mut [u16],
         slots: usize,
-    ) -> Result<(), LearnError> {
+    ) -> Result<()> {
         for (scene, actions) in scenes.iter().zip(actions.chunks_exact_mut(slots)) {
             self.views.look(scene);
             let observations: Vec<Observation<'_>> = self.views.observations().collect();
             let mut decisions = vec![Err(DecideError::BadLength); observations.len()];
             self.policy.decide_batch(&observations, &mut decisions);
-            for (action, decision) in actions.iter_mut().zip(decisions) {
-                *action = decision.map_err(|error| LearnError::Team(error.to_string()))?.action;
-            }
+            write_actions(actions, decisions)?;
         }
         Ok(())
     }
@@ -122,7 +98,7 @@ impl Agents for ScriptedAgents {
         scenes: &[AllocatedScene<'_>],
         actions: &mut [u16],
         slots: usize,
-    ) -> Result<(), LearnError> {
+    ) -> Result<()> {
         for (scene, actions) in scenes.iter().zip(actions.chunks_exact_mut(slots)) {
             let AllocatedScene { environment, state, allocation, .. } = *scene;
             if !environment.scripted(state, allocation, &mut self.random, actions) {

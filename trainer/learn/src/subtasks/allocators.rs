@@ -2,10 +2,11 @@
 
 use sortie_bundle::OwnedAllocationState;
 use sortie_core::{Allocator, EntityMask};
-use sortie_envs::{ActionSet, EntitySet, Environment, Observation, Spec, UNASSIGNED, members};
+use sortie_envs::{EntitySet, Environment, Observation, Shape, Spec, UNASSIGNED, members};
 
 use super::{Allocate, ToAllocate};
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
+use crate::play::codes;
 
 /// One of the [rules](sortie_envs::Spec::rules) of an environment, by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,7 +28,7 @@ impl RuleAllocator<'_> {
 }
 
 impl Allocate for RuleAllocator<'_> {
-    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<()> {
         let ToAllocate { environment, state, random, allocation } = to;
         let rule = self.number(environment.spec()).map_err(LearnError::Team)?;
         environment.allocate(rule, state, random, allocation);
@@ -40,9 +41,8 @@ impl Allocate for RuleAllocator<'_> {
 pub struct NoSubtasks;
 
 impl Allocate for NoSubtasks {
-    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
-        let ToAllocate { allocation, .. } = to;
-        allocation.fill(UNASSIGNED);
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<()> {
+        to.allocation.fill(UNASSIGNED);
         Ok(())
     }
 }
@@ -51,36 +51,32 @@ impl Allocate for NoSubtasks {
 pub struct DeployedAllocator<'a>(pub Box<dyn Allocator + 'a>);
 
 impl Allocate for DeployedAllocator<'_> {
-    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<()> {
         let ToAllocate { environment, state, allocation, .. } = to;
         // What is proposed may depend on what was in force.
-        let state = allocation_state_after(environment, state, allocation);
+        let state = allocation_state_turned(environment, (state, allocation), 0);
         allocation.fill(UNASSIGNED);
         let team = &mut allocation[..state.agents];
         Ok(self.0.allocate(&state.view(), team)?)
     }
 }
 
-/// All that an allocator sees of a state in which an allocation was in force.
-pub fn allocation_state_after(
-    environment: &dyn Environment,
-    state: &[u8],
-    in_force: &[u8],
-) -> OwnedAllocationState {
-    allocation_state_turned(environment, (state, in_force), 0)
-}
-
-/// The same under a symmetry of the rules.
+/// All that an allocator sees, under a symmetry of the rules, of a state in which an allocation was in force.
 pub fn allocation_state_turned(
     environment: &dyn Environment,
     (state, in_force): (&[u8], &[u8]),
     turn: usize,
 ) -> OwnedAllocationState {
     let mut state = told(environment, state, turn);
-    for (tasks, last) in state.entity_task.iter_mut().zip(&in_force[..state.agents]) {
-        *tasks = 1_u32.checked_shl((*last).into()).unwrap_or(0);
-    }
+    tell_allocation(&mut state.entity_task, &in_force[..state.agents]);
     state
+}
+
+/// Says of agents, the first of all entities, that they belong to the subtasks that they were given.
+pub(super) fn tell_allocation(entity_task: &mut [u32], allocation: &[u8]) {
+    for (tasks, task) in entity_task.iter_mut().zip(allocation) {
+        *tasks = 1_u32.checked_shl((*task).into()).unwrap_or(0);
+    }
 }
 
 /// All that an allocator sees of a state; agents come without their last allocation.
@@ -89,25 +85,23 @@ pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAll
 }
 
 fn told(environment: &dyn Environment, state: &[u8], turn: usize) -> OwnedAllocationState {
-    let features = environment.spec().shape.features;
+    let Shape { features, actions, .. } = environment.spec().shape;
     let mut seen = Observation::default();
     environment.observe(state, turn, EntitySet::MAX, &mut seen);
     let mut rows = Vec::new();
     seen.rows.write_all(features, &mut rows);
-    let actions = environment.spec().shape.actions;
-    let codes =
-        |set: &ActionSet| (0..actions).map(|action| (set >> action & 1) as u16).collect::<Vec<_>>();
     let mut present = EntityMask::first(seen.rows.len());
     members(seen.absent.into()).for_each(|agent| present.remove(agent));
+    let team = &seen.available[..seen.agents()];
     OwnedAllocationState {
-        agents: seen.agents(),
+        agents: team.len(),
         tasks: seen.tasks(),
         rows,
         features,
         present,
         entity_task: members(seen.present).map(|entity| seen.entity_task[entity]).collect(),
         open_tasks: seen.open_tasks,
-        available: seen.available[..seen.agents()].iter().flat_map(codes).collect(),
+        available: team.iter().flat_map(|set| codes(*set, actions)).collect(),
     }
 }
 

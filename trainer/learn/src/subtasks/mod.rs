@@ -13,13 +13,12 @@ mod team;
 use sortie_envs::{Environment, Observation, Random, Spec};
 
 use crate::act::Thought;
-use crate::error::LearnError;
+use crate::error::Result;
 use crate::export::{AttentionNetwork, ExportError};
 
 pub use agents::{MaskedViews, PolicyAgents, ScriptedAgents};
 pub use allocators::{
-    DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state, allocation_state_after,
-    allocation_state_turned,
+    DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state, allocation_state_turned,
 };
 pub use places::{Place, Places};
 pub use symmetries::{AllocateTurned, Course, best_course};
@@ -61,7 +60,7 @@ pub trait Agents {
         scenes: &[AllocatedScene<'_>],
         actions: &mut [u16],
         slots: usize,
-    ) -> Result<(), LearnError>;
+    ) -> Result<()>;
 
     /// Writes what a coach tells the agents of a state at a decision, for the scenes until the next one.
     ///
@@ -69,14 +68,12 @@ pub trait Agents {
     ///
     /// # Errors
     /// The coach does not fit the environment.
-    fn advise(&mut self, seen: &Observation, strategies: &mut Vec<f32>) -> Result<(), LearnError> {
-        let _ = (seen, strategies);
+    fn advise(&mut self, _seen: &Observation, _strategies: &mut Vec<f32>) -> Result<()> {
         Ok(())
     }
 
     /// `[scenes, A]`: what the agents think, for whoever looks on; empty where they do not tell.
-    fn thoughts(&mut self, scenes: &[AllocatedScene<'_>]) -> Vec<Thought> {
-        let _ = scenes;
+    fn thoughts(&mut self, _scenes: &[AllocatedScene<'_>]) -> Vec<Thought> {
         Vec::new()
     }
 }
@@ -100,31 +97,29 @@ pub trait Allocate {
     ///
     /// # Errors
     /// The allocator does not fit the environment.
-    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError>;
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<()>;
 
     /// What each of these teams, bit a of which stands for agent a, is worth at an open subtask; empty where it does not
     /// value them one by one.
     fn values(
         &mut self,
-        environment: &dyn Environment,
-        state: &[u8],
-        task: usize,
-        teams: &[u64],
+        _environment: &dyn Environment,
+        _state: &[u8],
+        _task: usize,
+        _teams: &[u64],
     ) -> Vec<f32> {
-        let _ = (environment, state, task, teams);
         Vec::new()
     }
 
     /// Has it choose among so many proposals of its own in such an environment, or as many as it usually does; false where it
     /// does not propose.
-    fn choose_among(&mut self, proposals: Option<usize>, spec: &Spec) -> bool {
-        let _ = (proposals, spec);
+    fn choose_among(&mut self, _proposals: Option<usize>, _spec: &Spec) -> bool {
         false
     }
 }
 
 impl<A: Allocate + ?Sized> Allocate for &mut A {
-    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+    fn allocate(&mut self, to: ToAllocate<'_>) -> Result<()> {
         (**self).allocate(to)
     }
 

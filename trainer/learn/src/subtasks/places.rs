@@ -6,7 +6,7 @@ use sortie_envs::{DecisionPoints, EntitySet, Environment, Observation, UNASSIGNE
 
 use super::{AllocatedScene, NO_ACTION};
 use crate::act::{Scene, Scenes};
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 use crate::state::State;
 
 /// What an instance remembers between steps.
@@ -28,20 +28,6 @@ pub struct Place {
     pub seen: Observation,
 }
 
-impl Place {
-    fn new(interval: u32, agents: usize) -> Self {
-        Self {
-            points: DecisionPoints::every(interval),
-            is_due: false,
-            allocation: vec![UNASSIGNED; agents],
-            last_actions: vec![NO_ACTION; agents],
-            actions: vec![NO_ACTION; agents],
-            strategies: Vec::new(),
-            seen: Observation::default(),
-        }
-    }
-}
-
 /// What all instances remember, by their numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Places {
@@ -58,7 +44,16 @@ impl Places {
     /// Observes a scene, and finds out whether agents are to be allocated anew in it.
     pub fn look(&mut self, environment: &dyn Environment, scene: &Scene<'_>) -> &mut Place {
         let Self { interval, places } = self;
-        let new = || Place::new(*interval, environment.spec().shape.agents);
+        let agents = environment.spec().shape.agents;
+        let new = || Place {
+            points: DecisionPoints::every(*interval),
+            is_due: false,
+            allocation: vec![UNASSIGNED; agents],
+            last_actions: vec![NO_ACTION; agents],
+            actions: vec![NO_ACTION; agents],
+            strategies: Vec::new(),
+            seen: Observation::default(),
+        };
         places.resize_with(places.len().max(scene.instance + 1), new);
         let place = &mut places[scene.instance];
         if scene.begins {
@@ -106,17 +101,18 @@ impl Places {
     }
 
     /// Has a second instance go on from where a first one stands.
-    pub(crate) fn copy(&mut self, from: usize, to: usize) {
+    pub(crate) fn copy(&mut self, from: usize, to: usize) -> &mut Place {
         let place = self.places[from].clone();
         self.places.resize(self.places.len().max(to + 1), place.clone());
         self.places[to] = place;
+        &mut self.places[to]
     }
 
     /// Names all of it.
     ///
     /// # Errors
     /// What is read is of teams of another size.
-    pub fn visit(&mut self, state: &mut State<'_>, agents: usize) -> Result<(), LearnError> {
+    pub fn visit(&mut self, state: &mut State<'_>, agents: usize) -> Result<()> {
         state.value("places", &mut self.places)?;
         let fits = |place: &Place| [place.allocation.len(), place.actions.len()] == [agents; 2];
         if self.places.iter().all(fits) {

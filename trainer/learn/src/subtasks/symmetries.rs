@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use sortie_envs::Environment;
 
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 
 /// What allocates by a state as a symmetry of the rules shows it.
 pub trait AllocateTurned {
@@ -18,7 +18,7 @@ pub trait AllocateTurned {
         state: &[u8],
         in_force: &[u8],
         turn: usize,
-    ) -> Result<Vec<u8>, LearnError>;
+    ) -> Result<Vec<u8>>;
 }
 
 /// The states of an episode from one on, and what is given in each.
@@ -36,7 +36,7 @@ pub fn best_course(
     world: &mut dyn Environment,
     (state, in_force): (&[u8], &[u8]),
     turns: usize,
-) -> Result<Course, LearnError> {
+) -> Result<Course> {
     let mut best: Option<(f64, Course)> = None;
     for turn in 0..turns {
         let (earned, course) = played(allocator, world, (state, in_force), turn)?;
@@ -53,7 +53,7 @@ fn played(
     world: &mut dyn Environment,
     (state, in_force): (&[u8], &[u8]),
     turn: usize,
-) -> Result<(f64, Course), LearnError> {
+) -> Result<(f64, Course)> {
     let mut random = sortie_envs::random::generator(0);
     let mut actions = vec![0; world.spec().shape.agents];
     let (mut course, mut earned) = (Course::new(), 0.0);
@@ -92,7 +92,7 @@ mod tests {
             state: &[u8],
             in_force: &[u8],
             turn: usize,
-        ) -> Result<Vec<u8>, LearnError> {
+        ) -> Result<Vec<u8>> {
             self.asked.push((turn, in_force.to_vec()));
             let (mut offers, mut goals) = (Vec::new(), vec![UNASSIGNED; 4]);
             environment.offers(state, &mut offers);

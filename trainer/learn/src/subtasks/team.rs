@@ -1,16 +1,16 @@
 //! Agents and who allocates them, as one team that plays anywhere.
 
-use sortie_envs::{Environment, Observation, Random};
+use sortie_envs::{Environment, Random};
 
 use super::{Agents, Allocate, Places, ToAllocate};
 use crate::act::{Act, Ask, Scene, Scenes, Thought};
-use crate::error::LearnError;
+use crate::error::Result;
 
 /// A team whose agents are allocated at decision points.
 pub struct AllocatedTeam<'a> {
     agents: Box<dyn Agents + 'a>,
     allocator: Box<dyn Allocate + 'a>,
-    places: Places,
+    pub(crate) places: Places,
 }
 
 impl<'a> AllocatedTeam<'a> {
@@ -34,7 +34,7 @@ impl<'a> AllocatedTeam<'a> {
         environment: &dyn Environment,
         scene: &Scene<'_>,
         random: &mut Random,
-    ) -> Result<bool, LearnError> {
+    ) -> Result<bool> {
         let place = self.places.look(environment, scene);
         if place.is_due {
             let (state, allocation) = (scene.state, &mut place.allocation[..]);
@@ -45,35 +45,16 @@ impl<'a> AllocatedTeam<'a> {
     }
 
     /// Lets the agents act in scenes that were [decided](Self::decide).
-    pub(crate) fn choose(
-        &mut self,
-        scenes: &Scenes<'_>,
-        actions: &mut [u16],
-    ) -> Result<(), LearnError> {
+    pub(crate) fn choose(&mut self, scenes: &Scenes<'_>, actions: &mut [u16]) -> Result<()> {
         let slots = scenes.environment.spec().shape.agents;
         self.agents.act(&self.places.scenes(scenes), actions, slots)?;
         self.places.note(scenes, actions);
         Ok(())
     }
-
-    /// What the agents of an instance see.
-    pub(crate) fn seen(&self, instance: usize) -> &Observation {
-        &self.places.of(instance).seen
-    }
-
-    /// Gives the agents of an instance other subtasks.
-    pub(crate) fn reallocate(&mut self, instance: usize, allocation: &[u8]) {
-        self.places.of_mut(instance).allocation.copy_from_slice(allocation);
-    }
-
-    /// Has a second instance go on from where a first one stands.
-    pub(crate) fn copy(&mut self, from: usize, to: usize) {
-        self.places.copy(from, to);
-    }
 }
 
 impl Act for AllocatedTeam<'_> {
-    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<(), LearnError> {
+    fn act(&mut self, Ask { scenes, random, actions }: Ask<'_>) -> Result<()> {
         for scene in scenes.scenes {
             self.decide(scenes.environment, scene, &mut random[scene.instance])?;
         }
@@ -115,7 +96,7 @@ mod tests {
             scenes: &[AllocatedScene<'_>],
             actions: &mut [u16],
             slots: usize,
-        ) -> Result<(), LearnError> {
+        ) -> Result<()> {
             let mut shown = self.1.borrow_mut();
             shown.last_actions.push(scenes[0].last_actions.to_vec());
             let states = shown.last_actions.len();
@@ -125,7 +106,7 @@ mod tests {
     }
 
     impl<A: Allocate> Allocate for Noting<'_, A> {
-        fn allocate(&mut self, to: ToAllocate<'_>) -> Result<(), LearnError> {
+        fn allocate(&mut self, to: ToAllocate<'_>) -> Result<()> {
             let mut shown = self.1.borrow_mut();
             let states = shown.last_actions.len();
             shown.decided.resize(states, false);
@@ -137,16 +118,11 @@ mod tests {
     struct Watching<'a>(&'a RefCell<Shown>);
 
     impl Onlooker for Watching<'_> {
-        fn started(&mut self, _: Watched<'_>) -> Result<(), LearnError> {
+        fn started(&mut self, _: Watched<'_>) -> Result<()> {
             Ok(())
         }
 
-        fn stepped(
-            &mut self,
-            _: Watched<'_>,
-            actions: &[u16],
-            step: &Step,
-        ) -> Result<(), LearnError> {
+        fn stepped(&mut self, _: Watched<'_>, actions: &[u16], step: &Step) -> Result<()> {
             let mut shown = self.0.borrow_mut();
             shown.actions.push(actions.to_vec());
             shown.tasks_changed.push(step.tasks_changed);

@@ -3,8 +3,9 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use sortie_learn::Now;
 use sortie_learn::play;
-use sortie_learn::run::{Observer, Progress};
+use sortie_learn::run::Observer;
 use sortie_learn::session::{Opening, Setup};
 use sortie_learn::subtasks::{Allocate, AllocatedTeam, RuleAllocator, ScriptedAgents};
 use sortie_methods::find;
@@ -31,7 +32,7 @@ fn setup(environment: &str, assignments: &[&str]) -> Setup {
 struct Stopping<'a>(&'a AtomicBool, u64);
 
 impl Observer for Stopping<'_> {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: Now) {
         self.0.store(progress.env_steps >= self.1, Ordering::Relaxed);
     }
 }

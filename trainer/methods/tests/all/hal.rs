@@ -5,8 +5,9 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_envs::Split;
+use sortie_learn::Now;
 use sortie_learn::play::{self, PolicyTeam};
-use sortie_learn::run::{Observer, Progress};
+use sortie_learn::run::Observer;
 use sortie_learn::session::{Opening, Setup, load_weights};
 use sortie_methods::find;
 use sortie_methods::hal::{Hal, MaskCounts, MeasuredConfig};
@@ -49,7 +50,7 @@ fn weights(folder: &Path) -> Vec<u8> {
 struct Stopping<'a>(&'a AtomicBool, u64);
 
 impl Observer for Stopping<'_> {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: Now) {
         self.0.store(progress.env_steps >= self.1, Ordering::Relaxed);
     }
 }

@@ -4,9 +4,9 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_learn::export::DeployedNetworks;
-use sortie_learn::run::{Observer, Progress};
+use sortie_learn::run::Observer;
 use sortie_learn::session::{Opening, Setup, load_weights};
-use sortie_learn::{Method, play};
+use sortie_learn::{Method, Now, play};
 use sortie_methods::find;
 
 use crate::sessions::{begin, environment_of, resume, with};
@@ -65,7 +65,7 @@ fn without_intrinsic_rewards_and_hopeless_at_first_nothing_is_found() {
 struct Stopping<'a>(&'a AtomicBool, u64);
 
 impl Observer for Stopping<'_> {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: Now) {
         self.0.store(progress.env_steps >= self.1, Ordering::Relaxed);
     }
 }

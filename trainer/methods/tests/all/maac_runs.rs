@@ -4,9 +4,9 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_learn::draft::{MethodRun, draft_method};
-use sortie_learn::run::{Observer, Progress};
+use sortie_learn::run::Observer;
 use sortie_learn::session::{Opening, Setup, load_weights};
-use sortie_learn::{Act, play};
+use sortie_learn::{Act, Now, play};
 use sortie_methods::find;
 
 use crate::sessions::{begin, environment_of, resume, with};
@@ -43,7 +43,7 @@ fn weights(folder: &Path) -> Vec<u8> {
 struct Stopping<'a>(&'a AtomicBool, u64);
 
 impl Observer for Stopping<'_> {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: Now) {
         self.0.store(progress.env_steps >= self.1, Ordering::Relaxed);
     }
 }

@@ -3,10 +3,11 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use sortie_learn::Now;
 use sortie_learn::draft::{MethodRun, draft_method};
 use sortie_learn::export::DeployedNetworks;
 use sortie_learn::play;
-use sortie_learn::run::{CurvePoint, Observer, Progress};
+use sortie_learn::run::{CurvePoint, Observer};
 use sortie_learn::session::{Opening, Session, Setup};
 use sortie_methods::find;
 
@@ -34,7 +35,7 @@ const VECTORS: &str = "environment.settings.vectors=true";
 struct Stopping<'a>(&'a AtomicBool, u64);
 
 impl Observer for Stopping<'_> {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: Now) {
         self.0.store(progress.env_steps >= self.1, Ordering::Relaxed);
     }
 }

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use sortie_learn::Method;
-use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress};
+use sortie_learn::run::{CurvePoint, Observer, Outcome};
 use sortie_learn::session::{MethodEntry, Session, Setup};
 use sortie_learn::subtasks::AllocatorNetworks;
+use sortie_learn::{Method, Now};
 use sortie_methods::alma::{ALMA, COPA, FLAT};
 
 use crate::sessions::{begin, open_windows, resume};
@@ -52,7 +52,7 @@ struct Recorder<'a> {
 }
 
 impl Observer for Recorder<'_> {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: Now) {
         self.stop.store(progress.env_steps >= self.stop_at, Ordering::Relaxed);
     }
 

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_envs::Split;
-use sortie_learn::Method;
 use sortie_learn::play::evaluate;
-use sortie_learn::run::{Observer, Outcome, Progress};
+use sortie_learn::run::{Observer, Outcome};
 use sortie_learn::session::{Session, Setup};
 use sortie_learn::subtasks::RuleAllocator;
+use sortie_learn::{Method, Now};
 use sortie_methods::alma::{ALMA, FLAT};
 
 use crate::sessions::{begin, open_records, resume};
@@ -60,7 +60,7 @@ struct Recorder<'a> {
 }
 
 impl Observer for Recorder<'_> {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: Now) {
         self.stop.store(progress.env_steps >= self.stop_at, Ordering::Relaxed);
     }
 

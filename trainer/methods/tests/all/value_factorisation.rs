@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use sortie_envs::{Environment, Split};
 use sortie_learn::export::DeployedNetworks;
-use sortie_learn::run::{CurvePoint, Observer, Outcome, Progress, RunDescription, RunResult};
+use sortie_learn::run::{CurvePoint, Observer, Outcome, RunDescription, RunResult};
 use sortie_learn::session::{MethodEntry, Opening, Session, Setup, load_weights};
-use sortie_learn::{LearnError, Method, play};
+use sortie_learn::{LearnError, Method, Now, play};
 use sortie_methods::find;
 
 /// Keeps what a run tells, and stops it after so many steps.
@@ -18,7 +18,7 @@ struct Watch<'a> {
 }
 
 impl Observer for Watch<'_> {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: Now) {
         if let Some((stop, steps)) = self.stop {
             stop.store(progress.env_steps >= steps, Ordering::Relaxed);
         }

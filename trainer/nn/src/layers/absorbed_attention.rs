@@ -5,34 +5,78 @@
 //! Per query that takes `2 E^2` multiplications, and `2 H E` per visible entity, where keys and values
 //! take `2 E^2` per entity: a gain where entities are seen by few queries each.
 
-use super::attention::{AttentionShape, Columns, List, run_with_shape, softmax_columns_backward};
+use super::attention::{AttentionShape, List, run_with_shape, softmax_columns_backward};
 use super::lists::VisibleLists;
 use super::matrix::{Matrix, MatrixMut, Store, multiply};
 use super::vectors::add_scaled;
 
-/// The key and value matrices `[2 E, E]`, keys first.
+/// The key or the value matrices `[head width, E]` of all heads, and products with them: of *narrow* rows, which have their
+/// E numbers in a part for each head, and *broad* ones, which have E for each.
 #[derive(Clone, Copy, Debug)]
 struct Heads<'a> {
     shape: AttentionShape,
-    keys_values: &'a [f32],
+    matrices: &'a [f32],
 }
 
 impl<'a> Heads<'a> {
-    fn width(self) -> usize {
-        self.shape.width / self.shape.heads
+    /// Key matrices, and value matrices.
+    fn of(shape: AttentionShape, keys_values: &'a [f32]) -> [Self; 2] {
+        let (keys, values) = keys_values.split_at(shape.width * shape.width);
+        [keys, values].map(|matrices| Self { shape, matrices })
     }
 
-    /// The key matrix `[head width, E]` of a head, or its value matrix if `values`.
-    fn matrix(self, head: usize, values: bool) -> Matrix<'a> {
-        let (width, rows) = (self.shape.width, self.width());
-        let first = head + if values { self.shape.heads } else { 0 };
-        Matrix::new(&self.keys_values[first * rows * width..][..rows * width], rows, width)
+    fn matrix(self, head: usize) -> Matrix<'a> {
+        let (width, rows) = (self.shape.width, self.shape.head_width());
+        Matrix::new(&self.matrices[head * rows * width..], rows, width)
     }
+
+    /// Writes broad rows, each part a narrow row's times the matrix.
+    fn widen(self, narrow: &[f32], broad: &mut [f32]) {
+        let AttentionShape { width, heads } = self.shape;
+        let parts = [heads, self.shape.head_width()];
+        for head in 0..heads {
+            let out = part_mut(broad, [heads, width], head);
+            multiply(out, Store::Replace, part(narrow, parts, head), self.matrix(head));
+        }
+    }
+
+    /// Writes narrow rows, each part a broad row's times the matrix turned.
+    fn narrow(self, broad: &[f32], narrow: &mut [f32]) {
+        let AttentionShape { width, heads } = self.shape;
+        let parts = [heads, self.shape.head_width()];
+        for head in 0..heads {
+            let out = part_mut(narrow, parts, head);
+            let matrix = self.matrix(head).transposed();
+            multiply(out, Store::Replace, part(broad, [heads, width], head), matrix);
+        }
+    }
+}
+
+/// Adds the gradient of the matrices that take narrow rows and broad ones to each other, one of which is a gradient.
+fn add_gradient(shape: AttentionShape, narrow: &[f32], broad: &[f32], d_matrices: &mut [f32]) {
+    let (AttentionShape { width, heads }, rows) = (shape, shape.head_width());
+    for head in 0..heads {
+        let out = MatrixMut::new(&mut d_matrices[head * rows * width..], rows, width);
+        let narrow = part(narrow, [heads, rows], head).transposed();
+        multiply(out, Store::Add, narrow, part(broad, [heads, width], head));
+    }
+}
+
+/// The columns of a head in rows of so many parts of a width.
+fn part(rows: &[f32], [heads, width]: [usize; 2], head: usize) -> Matrix<'_> {
+    let all = heads * width;
+    Matrix::new(rows, rows.len() / all, all).columns(head * width..(head + 1) * width)
+}
+
+/// The same, to be written.
+fn part_mut(rows: &mut [f32], [heads, width]: [usize; 2], head: usize) -> MatrixMut<'_> {
+    let (all, count) = (heads * width, rows.len() / (heads * width));
+    MatrixMut::new(rows, count, all).columns(head * width..(head + 1) * width)
 }
 
 /// Buffers of one worker: what the last forward pass needs to be gone through backward.
 #[derive(Clone, Debug, Default)]
-pub struct AbsorbedAttention {
+pub(crate) struct AbsorbedAttention {
     /// Queries that absorbed their keys `[queries, H, E]`.
     absorbed: Vec<f32>,
     /// `[pairs, H]`
@@ -44,28 +88,23 @@ pub struct AbsorbedAttention {
     d_scores: Vec<f32>,
 }
 
-/// The tensors of a backward pass.
+/// The tensors of a backward pass: those of the forward pass, and their gradients, of which that of the matrices is added to
+/// and the others are overwritten.
 #[derive(Debug)]
-pub struct AbsorbedBackward<'a> {
-    /// Queries `[queries, E]`, as in the forward pass.
-    pub queries: &'a [f32],
-    /// Entities `[rows, E]`, as in the forward pass.
-    pub entities: &'a [f32],
-    /// Gradient of the output `[queries, E]`.
-    pub d_output: &'a [f32],
-    /// Gradient of the queries `[queries, E]`, overwritten.
-    pub d_queries: &'a mut [f32],
-    /// Gradient of the entities `[rows, E]`, overwritten.
-    pub d_entities: &'a mut [f32],
-    /// Gradient of the key and value matrices `[2 E, E]`, added to.
-    pub d_keys_values: &'a mut [f32],
+pub(crate) struct AbsorbedBackward<'a> {
+    pub(crate) queries: &'a [f32],
+    pub(crate) entities: &'a [f32],
+    pub(crate) d_output: &'a [f32],
+    pub(crate) d_queries: &'a mut [f32],
+    pub(crate) d_entities: &'a mut [f32],
+    pub(crate) d_keys_values: &'a mut [f32],
 }
 
 impl AbsorbedAttention {
     /// Writes the `output [queries, E]` from `queries [queries, E]` and `entities [rows, E]`.
     ///
     /// `keys_values [2 E, E]` are the key and value matrices.
-    pub fn forward(
+    pub(crate) fn forward(
         &mut self,
         shape: AttentionShape,
         visible: &VisibleLists,
@@ -73,87 +112,37 @@ impl AbsorbedAttention {
         (queries, entities): (&[f32], &[f32]),
         output: &mut [f32],
     ) {
-        let AttentionShape { width, heads } = shape;
-        let matrices = Heads { shape, keys_values };
-        let (count, head) = (visible.queries(), matrices.width());
-        let wide = heads * width;
-        self.absorbed.resize(count * wide, 0.0);
-        self.sums.resize(count * wide, 0.0);
-        self.weights.resize(visible.pairs() * heads, 0.0);
-        for h in 0..heads {
-            multiply(
-                MatrixMut::new(&mut self.absorbed, count, wide).columns(h * width..(h + 1) * width),
-                Store::Replace,
-                Matrix::new(queries, count, width).columns(h * head..(h + 1) * head),
-                matrices.matrix(h, false),
-            );
-        }
+        let [keys, values] = Heads::of(shape, keys_values);
+        self.absorbed.resize(queries.len() * shape.heads, 0.0);
+        self.sums.resize(queries.len() * shape.heads, 0.0);
+        self.weights.resize(visible.pairs() * shape.heads, 0.0);
+        keys.widen(queries, &mut self.absorbed);
         self.attend(shape, visible, entities);
-        for h in 0..heads {
-            multiply(
-                MatrixMut::new(output, count, width).columns(h * head..(h + 1) * head),
-                Store::Replace,
-                Matrix::new(&self.sums, count, wide).columns(h * width..(h + 1) * width),
-                matrices.matrix(h, true).transposed(),
-            );
-        }
+        values.narrow(&self.sums, output);
     }
 
     /// The attention weights `[pairs, heads]` of the last forward pass.
-    pub fn weights(&self) -> &[f32] {
+    pub(crate) fn weights(&self) -> &[f32] {
         &self.weights
     }
 
     /// Writes the gradients of queries and entities, and adds that of the matrices.
-    pub fn backward(
+    pub(crate) fn backward(
         &mut self,
         shape: AttentionShape,
         visible: &VisibleLists,
         keys_values: &[f32],
         pass: AbsorbedBackward<'_>,
     ) {
-        let AttentionShape { width, heads } = shape;
-        let matrices = Heads { shape, keys_values };
-        let (count, head) = (visible.queries(), matrices.width());
-        let wide = heads * width;
-        self.d_sums.resize(count * wide, 0.0);
-        let (d_keys, d_values) = pass.d_keys_values.split_at_mut(width * width);
-        let d_output = Matrix::new(pass.d_output, count, width);
-        for h in 0..heads {
-            let (narrow, broad) = (h * head..(h + 1) * head, h * width..(h + 1) * width);
-            let d_output = d_output.columns(narrow);
-            multiply(
-                MatrixMut::new(&mut self.d_sums, count, wide).columns(broad.clone()),
-                Store::Replace,
-                d_output,
-                matrices.matrix(h, true),
-            );
-            multiply(
-                MatrixMut::new(&mut d_values[h * head * width..], head, width),
-                Store::Add,
-                d_output.transposed(),
-                Matrix::new(&self.sums, count, wide).columns(broad),
-            );
-        }
-        self.d_absorbed.resize(self.d_sums.len(), 0.0);
+        let [keys, values] = Heads::of(shape, keys_values);
+        let (d_keys, d_values) = pass.d_keys_values.split_at_mut(shape.width * shape.width);
+        self.d_sums.resize(self.sums.len(), 0.0);
+        self.d_absorbed.resize(self.sums.len(), 0.0);
+        values.widen(pass.d_output, &mut self.d_sums);
+        add_gradient(shape, pass.d_output, &self.sums, d_values);
         self.descend(shape, visible, pass.entities, pass.d_entities);
-        let queries = Matrix::new(pass.queries, count, width);
-        for h in 0..heads {
-            let (narrow, broad) = (h * head..(h + 1) * head, h * width..(h + 1) * width);
-            let d_absorbed = Matrix::new(&self.d_absorbed, count, wide).columns(broad);
-            multiply(
-                MatrixMut::new(pass.d_queries, count, width).columns(narrow.clone()),
-                Store::Replace,
-                d_absorbed,
-                matrices.matrix(h, false).transposed(),
-            );
-            multiply(
-                MatrixMut::new(&mut d_keys[h * head * width..], head, width),
-                Store::Add,
-                queries.columns(narrow).transposed(),
-                d_absorbed,
-            );
-        }
+        keys.narrow(&self.d_absorbed, pass.d_queries);
+        add_gradient(shape, pass.queries, &self.d_absorbed, d_keys);
     }
 
     /// Writes weights and weighted sums.
@@ -170,7 +159,7 @@ impl AbsorbedAttention {
                 {
                     let (start, rows) = visible.span(index);
                     let weights = &mut weights[start * heads..][..rows.len() * heads];
-                    let list = List { rows, columns: Columns::all(width), heads };
+                    let list = List::whole(rows, shape);
                     list.weigh(entities, query, shape.scale(), weights);
                     list.sum(entities, weights, sums);
                 }
@@ -198,7 +187,7 @@ impl AbsorbedAttention {
                     let own = index * heads * width..(index + 1) * heads * width;
                     let weights = &weights[start * heads..][..rows.len() * heads];
                     let (d_sums, absorbed) = (&d_sums[own.clone()], &absorbed[own.clone()]);
-                    let list = List { rows, columns: Columns::all(width), heads };
+                    let list = List::whole(rows, shape);
                     d_scores.resize(rows.len() * heads, 0.0);
                     list.products(entities, d_sums, d_scores);
                     softmax_columns_backward(weights, d_scores, heads);
@@ -277,8 +266,14 @@ mod tests {
                 Matrix::new(&matrices, 2 * width, width).transposed(),
             );
             let mut want = vec![f32::NAN; QUERIES * width];
-            let mut weights = vec![0.0; lists().pairs() * shape.heads];
-            attention::forward(shape, &lists(), &queries, &keys_values, &mut weights, &mut want);
+            let pass = attention::Forward {
+                queries: &queries,
+                keys_values: &keys_values,
+                of_pairs: &mut vec![0.0; lists().pairs() * shape.heads],
+                shares: &mut [],
+                output: &mut want,
+            };
+            attention::forward(shape, &lists(), pass);
             for (got, want) in forward(shape, &queries, &entities, &matrices).iter().zip(&want) {
                 assert!((got - want).abs() < 1e-5, "{got} against {want}");
             }

@@ -15,8 +15,7 @@ use std::ops::Range;
 use sortie_core::internal::math::exp;
 
 use super::lists::VisibleLists;
-use super::vectors::{add_scaled, add_weighted_sum, dots};
-use super::wide::{run_widest, run_with_width};
+use super::vectors::{add_scaled, add_weighted_sum, dots, run_widest, run_with_width};
 
 /// Sizes of an attention layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,8 +28,13 @@ pub struct AttentionShape {
 
 impl AttentionShape {
     #[inline(always)]
+    pub(super) fn head_width(self) -> usize {
+        self.width / self.heads
+    }
+
+    #[inline(always)]
     pub(super) fn scale(self) -> f32 {
-        1.0 / ((self.width / self.heads) as f32).sqrt()
+        1.0 / (self.head_width() as f32).sqrt()
     }
 }
 
@@ -50,46 +54,44 @@ pub(super) fn run_with_shape(shape: AttentionShape, pass: impl FnOnce(AttentionS
     }
 }
 
-/// Where the vectors of rows stand in a matrix.
-#[derive(Clone, Copy)]
-pub(super) struct Columns {
-    /// Numbers of a row of the matrix.
-    pub(super) stride: usize,
-    /// The first column.
-    pub(super) first: usize,
-    /// Numbers of a vector.
-    pub(super) width: usize,
-}
-
-impl Columns {
-    /// All columns of a matrix that is so wide.
-    #[inline(always)]
-    pub(super) fn all(width: usize) -> Self {
-        Self { stride: width, first: 0, width }
-    }
-}
-
-/// Some rows of a matrix. The vectors that are joined with them have a part for each head, one behind the other. A row that
-/// is as wide as such a part is whole for every head; another has parts as well.
+/// Some rows of a matrix, of which a vector each is looked at. The vectors that are joined with them have a part for each head,
+/// one behind the other. A row's vector that is as wide as such a part is whole for every head; another has parts as well.
 #[derive(Clone, Copy)]
 pub(super) struct List<'a> {
-    pub(super) rows: &'a [u32],
-    pub(super) columns: Columns,
-    pub(super) heads: usize,
+    rows: &'a [u32],
+    heads: usize,
+    /// Numbers of a row of the matrix.
+    stride: usize,
+    /// The first column of its vector.
+    first: usize,
+    /// Numbers of its vector.
+    width: usize,
 }
 
-impl List<'_> {
+impl<'a> List<'a> {
+    /// Rows of a matrix that is so wide.
+    #[inline(always)]
+    pub(super) fn whole(rows: &'a [u32], AttentionShape { width, heads }: AttentionShape) -> Self {
+        Self { rows, heads, stride: width, first: 0, width }
+    }
+
+    /// Keys and values `[rows, 2 * width]`, a key and then a value in every row.
+    #[inline(always)]
+    fn in_pairs(rows: &'a [u32], AttentionShape { width, heads }: AttentionShape) -> [Self; 2] {
+        [0, width].map(|first| Self { rows, heads, stride: 2 * width, first, width })
+    }
+
     #[inline(always)]
     fn place(self, row: u32) -> Range<usize> {
-        let start = row as usize * self.columns.stride + self.columns.first;
-        start..start + self.columns.width
+        let start = row as usize * self.stride + self.first;
+        start..start + self.width
     }
 
     /// How wide the parts of a vector are, and how far they are from each other in a row.
     #[inline(always)]
     fn parts(self, vector: &[f32]) -> (usize, usize) {
         let part = vector.len() / self.heads;
-        (part, if part == self.columns.width { 0 } else { part })
+        (part, if part == self.width { 0 } else { part })
     }
 
     /// Writes `[list, heads]` the products of a vector and each row.
@@ -141,60 +143,60 @@ impl List<'_> {
     }
 }
 
-/// Keys and values `[rows, 2 * width]` of a list, a key and then a value in every row.
-#[inline(always)]
-fn in_pairs(shape: AttentionShape, rows: &[u32]) -> [List<'_>; 2] {
-    let AttentionShape { width, heads } = shape;
-    [0, width].map(|first| {
-        let columns = Columns { stride: 2 * width, first, width };
-        List { rows, columns, heads }
-    })
+/// The tensors of a forward pass.
+#[derive(Debug)]
+pub struct Forward<'a> {
+    /// Queries `[queries, width]`.
+    pub queries: &'a [f32],
+    /// `[rows, 2 * width]`: each row's key, then its value.
+    pub keys_values: &'a [f32],
+    /// `[pairs, heads]`: attention weights, or scores; written.
+    pub of_pairs: &'a mut [f32],
+    /// What attention to [parts](super::split_attention) keeps besides, `[queries, heads]`; written.
+    pub shares: &'a mut [f32],
+    /// What the queries get; written.
+    pub output: &'a mut [f32],
 }
 
-/// Writes the attention `weights [pairs, heads]` and the `output [queries, width]`.
-///
-/// `queries [queries, width]`; `keys_values [rows, 2 * width]` holds each row's key, then its value.
-pub fn forward(
-    shape: AttentionShape,
-    visible: &VisibleLists,
-    queries: &[f32],
-    keys_values: &[f32],
-    weights: &mut [f32],
-    output: &mut [f32],
-) {
-    let AttentionShape { width, heads } = shape;
-    run_widest(
-        #[inline(always)]
-        || {
-            for (index, output) in output.chunks_exact_mut(width).enumerate() {
-                let (start, rows) = visible.span(index);
-                let weights = &mut weights[start * heads..][..rows.len() * heads];
-                let [keys, values] = in_pairs(shape, rows);
-                let query = &queries[index * width..][..width];
-                keys.weigh(keys_values, query, shape.scale(), weights);
-                values.sum(keys_values, weights, output);
-            }
-        },
-    );
-}
-
-/// The tensors of a backward pass through [`forward`] or [`squared_scores`].
+/// The tensors of a backward pass.
 #[derive(Debug)]
 pub struct Backward<'a> {
-    /// Queries `[queries, width]`, as in the forward pass.
+    /// As in the forward pass.
     pub queries: &'a [f32],
-    /// Keys and values `[rows, 2 * width]`, as in the forward pass.
+    /// As in the forward pass.
     pub keys_values: &'a [f32],
-    /// What the forward pass wrote for pairs `[pairs, heads]`: attention weights, or scores.
+    /// What the forward pass wrote.
     pub of_pairs: &'a [f32],
-    /// Gradient of the output, or of the sums.
+    /// What the forward pass wrote.
+    pub shares: &'a [f32],
+    /// What the forward pass wrote.
+    pub output: &'a [f32],
+    /// Gradient of the output.
     pub d_output: &'a [f32],
-    /// Space for `[longest list, heads]` numbers.
+    /// Space for `[pairs, heads]` numbers.
     pub d_scores: &'a mut [f32],
     /// Gradient of the queries `[queries, width]`, overwritten.
     pub d_queries: &'a mut [f32],
     /// Gradient of keys and values `[rows, 2 * width]`, overwritten.
     pub d_keys_values: &'a mut [f32],
+}
+
+/// Writes the attention weights and the output `[queries, width]`.
+pub fn forward(shape: AttentionShape, visible: &VisibleLists, pass: Forward<'_>) {
+    let AttentionShape { width, heads } = shape;
+    run_widest(
+        #[inline(always)]
+        || {
+            for (index, output) in pass.output.chunks_exact_mut(width).enumerate() {
+                let (start, rows) = visible.span(index);
+                let weights = &mut pass.of_pairs[start * heads..][..rows.len() * heads];
+                let [keys, values] = List::in_pairs(rows, shape);
+                let query = &pass.queries[index * width..][..width];
+                keys.weigh(pass.keys_values, query, shape.scale(), weights);
+                values.sum(pass.keys_values, weights, output);
+            }
+        },
+    );
 }
 
 /// Writes the gradients of queries, keys and values.
@@ -210,7 +212,7 @@ pub fn backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_
                 let d_output = &pass.d_output[own.clone()];
                 let weights = &pass.of_pairs[start * heads..][..rows.len() * heads];
                 let d_scores = &mut pass.d_scores[..rows.len() * heads];
-                let [keys, values] = in_pairs(shape, rows);
+                let [keys, values] = List::in_pairs(rows, shape);
                 values.products(pass.keys_values, d_output, d_scores);
                 values.add_multiples(pass.d_keys_values, weights, d_output);
                 softmax_columns_backward(weights, d_scores, heads);
@@ -222,26 +224,19 @@ pub fn backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_
     );
 }
 
-/// Writes the `scores [pairs, heads]`, `q . k` before they are scaled, and `[queries]` the sum of their squares over all
-/// heads and all that each query sees: what a penalty keeps small. Dissertation chapter 3, public code: their mean joins
-/// the critic's loss.
-pub fn squared_scores(
-    shape: AttentionShape,
-    visible: &VisibleLists,
-    queries: &[f32],
-    keys_values: &[f32],
-    scores: &mut [f32],
-    sums: &mut [f32],
-) {
+/// Writes the scores, `q . k` before they are scaled, and as output `[queries]` the sum of their squares over all heads and
+/// all that each query sees: what a penalty keeps small. Dissertation chapter 3, public code: their mean joins the critic's
+/// loss.
+pub(crate) fn squared_scores(shape: AttentionShape, visible: &VisibleLists, pass: Forward<'_>) {
     let AttentionShape { width, heads } = shape;
     run_widest(
         #[inline(always)]
         || {
-            for (index, sum) in sums.iter_mut().enumerate() {
+            for (index, sum) in pass.output.iter_mut().enumerate() {
                 let (start, rows) = visible.span(index);
-                let scores = &mut scores[start * heads..][..rows.len() * heads];
-                let [keys, _] = in_pairs(shape, rows);
-                keys.products(keys_values, &queries[index * width..][..width], scores);
+                let scores = &mut pass.of_pairs[start * heads..][..rows.len() * heads];
+                let [keys, _] = List::in_pairs(rows, shape);
+                keys.products(pass.keys_values, &pass.queries[index * width..][..width], scores);
                 *sum = 0.0;
                 for scores in scores.chunks_exact(heads) {
                     *sum += scores.iter().map(|score| score * score).sum::<f32>();
@@ -252,7 +247,11 @@ pub fn squared_scores(
 }
 
 /// Writes the gradients of queries and keys, and zeros for values.
-pub fn squared_scores_backward(shape: AttentionShape, visible: &VisibleLists, pass: Backward<'_>) {
+pub(crate) fn squared_scores_backward(
+    shape: AttentionShape,
+    visible: &VisibleLists,
+    pass: Backward<'_>,
+) {
     let AttentionShape { width, heads } = shape;
     run_widest(
         #[inline(always)]
@@ -265,7 +264,7 @@ pub fn squared_scores_backward(shape: AttentionShape, visible: &VisibleLists, pa
                 let d_scores = &mut pass.d_scores[..scores.len()];
                 let slopes = d_scores.iter_mut().zip(scores);
                 slopes.for_each(|(slope, score)| *slope = 2.0 * d_sum * score);
-                let [keys, _] = in_pairs(shape, rows);
+                let [keys, _] = List::in_pairs(rows, shape);
                 keys.sum(pass.keys_values, d_scores, &mut pass.d_queries[own.clone()]);
                 keys.add_multiples(pass.d_keys_values, d_scores, &pass.queries[own]);
             }

@@ -5,8 +5,7 @@
 use sortie_core::internal::math;
 
 use super::matrix::Store;
-use super::vectors;
-use super::wide::run_widest;
+use super::vectors::{self, run_widest};
 
 /// A function of one number whose slope follows from its value.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -156,22 +155,12 @@ pub fn squared_error(x: &[f32], target: &[f32], factor: f32) -> f32 {
     sum(x, target, factor, |distance| distance * distance)
 }
 
-/// The slope of `factor` times the square of a distance.
-pub fn squared_error_slope(distance: f32, factor: f32) -> f32 {
-    2.0 * factor * distance
-}
-
 /// `factor` times the sum of Huber's losses: `d^2 / 2` within `bound`, from there a line as steep.
 pub fn huber(x: &[f32], target: &[f32], factor: f32, bound: f32) -> f32 {
     sum(x, target, factor, |distance| {
         let distance = distance.abs();
         if distance <= bound { 0.5 * distance * distance } else { bound * (distance - 0.5 * bound) }
     })
-}
-
-/// The slope of `factor` times Huber's loss of a distance.
-pub fn huber_slope(distance: f32, factor: f32, bound: f32) -> f32 {
-    factor * distance.clamp(-bound, bound)
 }
 
 /// Summed in f64.

@@ -1,8 +1,7 @@
 //! The dense linear layer `y = W x + b`.
 
 use super::matrix::{Matrix, MatrixMut, Store, multiply};
-use super::vectors::add_scaled;
-use super::wide::run_widest;
+use super::vectors::{add_scaled, run_widest};
 
 /// Sizes of a linear layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,7 +14,7 @@ pub struct LinearShape {
 
 /// Writes `y [rows, output]` from `x [rows, input]`, `weight [output, input]`, `bias [output]`.
 pub fn forward(shape: LinearShape, x: &[f32], weight: &[f32], bias: &[f32], y: &mut [f32]) {
-    forward_without_bias(shape, x, weight, y);
+    product(shape, Store::Replace, x, weight, y);
     add_bias(f32::NEG_INFINITY, bias, y);
 }
 
@@ -31,13 +30,8 @@ pub(crate) fn add_bias(least: f32, bias: &[f32], y: &mut [f32]) {
     );
 }
 
-/// Writes `y [rows, output]` from `x [rows, input]` and `weight [output, input]`.
-pub fn forward_without_bias(shape: LinearShape, x: &[f32], weight: &[f32], y: &mut [f32]) {
-    product(shape, Store::Replace, x, weight, y);
-}
-
-/// The same, or adds it to what stands in `y`.
-pub(crate) fn product(shape: LinearShape, store: Store, x: &[f32], weight: &[f32], y: &mut [f32]) {
+/// Writes `y [rows, output]` from `x [rows, input]` and `weight [output, input]`, or adds to it.
+pub fn product(shape: LinearShape, store: Store, x: &[f32], weight: &[f32], y: &mut [f32]) {
     let rows = y.len() / shape.output;
     multiply(
         MatrixMut::new(y, rows, shape.output),
@@ -121,7 +115,7 @@ mod tests {
         add_bias(0.0, &bias, &mut y);
         let (mut one, mut two) = (vec![0.0; ROWS * 3], vec![0.0; ROWS * 3]);
         forward(SHAPE, &x, &weight, &bias, &mut one);
-        forward_without_bias(SHAPE, &other_x, &other, &mut two);
+        product(SHAPE, Store::Replace, &other_x, &other, &mut two);
         let want: Vec<f32> = one.iter().zip(&two).map(|(a, b)| (a + b).max(0.0)).collect();
         assert!(y.iter().zip(&want).all(|(y, want)| (y - want).abs() < 1e-5), "{y:?} {want:?}");
         assert!(want.contains(&0.0) && want.iter().any(|want| *want > 0.0), "{want:?}");

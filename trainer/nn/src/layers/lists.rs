@@ -1,7 +1,5 @@
 //! Who sees what: for each query the rows of a matrix that it attends to, of any number.
 
-use std::ops::Range;
-
 /// For each query the rows that it sees. A partition may split them into those within a part of it, which come first, and
 /// those across; without one all are within.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,19 +83,12 @@ impl VisibleLists {
         (start, &self.rows[start..end])
     }
 
-    /// The rows of all lists.
+    /// Of every query where its pairs begin, the rows that it sees, and how many of them lie within its part.
     #[inline(always)]
-    pub(super) fn rows(&self) -> &[u32] {
-        &self.rows
-    }
-
-    /// The pairs of every query, and how many of them lie within.
-    #[inline(always)]
-    pub(super) fn spans(&self) -> impl Iterator<Item = (Range<usize>, usize)> {
-        let ends = self.ends.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
-        ends.zip(&self.splits).map(|(pairs, split)| {
-            let within = *split as usize - pairs.start;
-            (pairs, within)
+    pub(super) fn each(&self) -> impl Iterator<Item = (usize, &[u32], usize)> {
+        (0..self.queries()).map(|query| {
+            let (start, rows) = self.span(query);
+            (start, rows, self.splits[query] as usize - start)
         })
     }
 }

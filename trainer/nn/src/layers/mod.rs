@@ -5,7 +5,7 @@
 //! [`sparse_linear`], whose input picks rows of an `[in, out]` matrix.
 //! `backward` functions *add* to weight gradients and *overwrite* input gradients unless they say otherwise.
 
-pub mod absorbed_attention;
+pub(crate) mod absorbed_attention;
 pub mod attention;
 pub mod elementwise;
 pub mod gru;
@@ -20,7 +20,6 @@ pub mod split_attention;
 pub mod team_attention;
 pub mod unfold;
 pub mod vectors;
-pub mod wide;
 
 pub use lists::VisibleLists;
 pub use sparse_linear::SparseRows;

@@ -3,8 +3,7 @@
 //! One-hot features turn the product into a sum of a dozen weight rows, so the weight is stored
 //! `[input, output]` and zero features cost nothing. The result equals the dense product.
 
-use super::vectors::{add_scaled, add_weighted_sum};
-use super::wide::run_with_width;
+use super::vectors::{add_scaled, add_weighted_sum, run_with_width};
 
 pub use sortie_envs::SparseRows;
 

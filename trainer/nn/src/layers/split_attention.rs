@@ -6,12 +6,12 @@
 //! `share * within + (1 - share) * across`: exact, and no pair is looked at twice.
 
 use std::hint::black_box;
-use std::slice::SliceIndex;
 
 use sortie_core::internal::math::exp;
 
+use super::attention::{Backward, Forward};
 use super::lists::VisibleLists;
-use super::wide::run_widest;
+use super::vectors::run_widest;
 
 /// The queries' outputs, one behind the other: from everything and, with imagination, from within and
 /// from across.
@@ -19,32 +19,18 @@ pub const BLOCKS: usize = 3;
 /// Attention heads, as in all experiments of the dissertation.
 pub const HEADS: usize = 4;
 
-/// The tensors of a forward pass.
-#[derive(Debug)]
-pub struct Forward<'a> {
-    /// Queries `[queries, width]`.
-    pub queries: &'a [f32],
-    /// `[rows, 2 * width]`: each row's key, then its value.
-    pub keys_values: &'a [f32],
-    /// Attention weights `[pairs, heads]`, each part's own; written.
-    pub weights: &'a mut [f32],
-    /// The share of the mass within, `[queries, heads]`; written.
-    pub shares: &'a mut [f32],
-    /// `[blocks, queries, width]`, three blocks or the first; written.
-    pub output: &'a mut [f32],
-}
-
 /// The widths that attention is built for.
 pub const WIDTHS: [usize; 4] = [16, 32, 64, 128];
 
 /// Whether attention of so many heads at a width can be had here: the same bits as [`attention`](super::attention)'s, in
 /// less time.
-pub fn is_built_for(width: usize, heads: usize) -> bool {
+pub(crate) fn is_built_for(width: usize, heads: usize) -> bool {
     heads == HEADS && WIDTHS.contains(&width)
 }
 
-/// Attends, at a width of 16, 32, 64 or 128. There are as many blocks as `output` has room for.
-pub fn forward(width: usize, lists: &VisibleLists, pass: Forward<'_>) {
+/// Attends, at a width of 16, 32, 64 or 128. There are three blocks of output `[queries, width]`, or the first, as many as it
+/// has room for; weights are each part's own, and shares those of the mass within.
+pub(crate) fn forward(width: usize, lists: &VisibleLists, pass: Forward<'_>) {
     run_widest(
         #[inline(always)]
         || match width {
@@ -109,11 +95,10 @@ fn attend<const HEAD: usize>(lists: &VisibleLists, pass: Forward<'_>) {
     let scale = 1.0 / (HEAD as f32).sqrt();
     let agents = lists.queries();
     let imagines = pass.output.len() > agents * HEADS * HEAD;
-    let (weights, _) = pass.weights.as_chunks_mut::<HEADS>();
+    let (weights, _) = pass.of_pairs.as_chunks_mut::<HEADS>();
     let (shares, _) = pass.shares.as_chunks_mut::<HEADS>();
-    for (query, (pairs, split)) in lists.spans().enumerate() {
-        let list = &lists.rows()[pairs.clone()];
-        let weights = &mut weights[pairs];
+    for (query, (start, list, split)) in lists.each().enumerate() {
+        let weights = &mut weights[start..][..list.len()];
         let own = vector::<HEAD>(pass.queries, query);
         for (row, weights) in list.iter().zip(&mut *weights) {
             let key = vector(pass.keys_values, 2 * *row as usize);
@@ -205,31 +190,8 @@ fn share(first: Mass, second: Mass) -> Heads {
     })
 }
 
-/// The tensors of a backward pass through [`forward`].
-#[derive(Debug)]
-pub struct Backward<'a> {
-    /// As in the forward pass.
-    pub queries: &'a [f32],
-    /// As in the forward pass.
-    pub keys_values: &'a [f32],
-    /// What the forward pass wrote.
-    pub weights: &'a [f32],
-    /// What the forward pass wrote.
-    pub shares: &'a [f32],
-    /// What the forward pass wrote.
-    pub output: &'a [f32],
-    /// Gradient of the output, as many blocks.
-    pub d_output: &'a [f32],
-    /// Space for `[pairs, heads]` numbers.
-    pub d_scores: &'a mut [f32],
-    /// Gradient of the queries, overwritten.
-    pub d_queries: &'a mut [f32],
-    /// Gradient of keys and values `[rows, 2 * width]`, overwritten.
-    pub d_keys_values: &'a mut [f32],
-}
-
 /// Writes the gradients of queries, keys and values.
-pub fn backward(width: usize, lists: &VisibleLists, pass: Backward<'_>) {
+pub(crate) fn backward(width: usize, lists: &VisibleLists, pass: Backward<'_>) {
     run_widest(
         #[inline(always)]
         || match width {
@@ -248,14 +210,13 @@ fn descend<const HEAD: usize>(lists: &VisibleLists, pass: Backward<'_>) {
     let scale = 1.0 / (HEAD as f32).sqrt();
     let imagines = pass.d_output.len() > agents * HEADS * HEAD;
     pass.d_keys_values.fill(0.0);
-    let (weights, _) = pass.weights.as_chunks::<HEADS>();
+    let (weights, _) = pass.of_pairs.as_chunks::<HEADS>();
     let (shares, _) = pass.shares.as_chunks::<HEADS>();
     let (d_scores, _) = pass.d_scores.as_chunks_mut::<HEADS>();
-    for (query, (pairs, split)) in lists.spans().enumerate() {
-        let list = &lists.rows()[pairs.clone()];
-        let (weights, d_scores) = (&weights[pairs.clone()], &mut d_scores[pairs]);
+    for (query, (start, list, split)) in lists.each().enumerate() {
+        let weights = &weights[start..][..list.len()];
+        let d_scores = &mut d_scores[start..][..list.len()];
         let d_all = vector::<HEAD>(pass.d_output, query);
-        let values = (pass.keys_values, &mut *pass.d_keys_values);
         if imagines {
             let part = |tensor, part: usize| vector::<HEAD>(tensor, part * agents + query);
             let (mut d_within, mut d_across) = (*part(pass.d_output, 1), *part(pass.d_output, 2));
@@ -266,15 +227,17 @@ fn descend<const HEAD: usize>(lists: &VisibleLists, pass: Backward<'_>) {
             let d_mass = std::array::from_fn(|head| {
                 share[head] * (1.0 - share[head]) * (gains[0][head] - gains[1][head])
             });
-            let (inner, outer) =
-                (Part::new(list, weights, ..split), Part::new(list, weights, split..));
+            let (inner_list, outer_list) = list.split_at(split);
+            let (inner, outer) = weights.split_at(split);
             let (d_inner, d_outer) = d_scores.split_at_mut(split);
-            let (keys_values, d_keys_values) = values;
-            inner.descend(&d_within, &d_mass, (keys_values, d_keys_values), d_inner);
+            let values = (pass.keys_values, &mut *pass.d_keys_values);
+            descend_part((inner_list, inner), &d_within, &d_mass, values, d_inner);
+            let values = (pass.keys_values, &mut *pass.d_keys_values);
             let d_mass = d_mass.map(|d| -d);
-            outer.descend(&d_across, &d_mass, (keys_values, d_keys_values), d_outer);
+            descend_part((outer_list, outer), &d_across, &d_mass, values, d_outer);
         } else {
-            Part::new(list, weights, ..).descend(d_all, &[0.0; HEADS], values, d_scores);
+            let values = (pass.keys_values, &mut *pass.d_keys_values);
+            descend_part((list, weights), d_all, &[0.0; HEADS], values, d_scores);
         }
         let own = vector::<HEAD>(pass.queries, query);
         let mut d_own = [[0.0; HEAD]; HEADS];
@@ -287,53 +250,36 @@ fn descend<const HEAD: usize>(lists: &VisibleLists, pass: Backward<'_>) {
     }
 }
 
-/// The pairs of one softmax.
-struct Part<'a> {
-    list: &'a [u32],
-    weights: &'a [Heads],
-}
-
-impl<'a> Part<'a> {
-    #[inline(always)]
-    fn new<R>(list: &'a [u32], weights: &'a [Heads], range: R) -> Self
-    where
-        R: SliceIndex<[u32], Output = [u32]> + SliceIndex<[Heads], Output = [Heads]> + Clone,
-    {
-        Self { list: &list[range.clone()], weights: &weights[range] }
+/// Adds to the gradients of the values that a softmax weighs and writes those of the scores, for a loss with these slopes by
+/// the weighted sum and by the logarithm of the mass.
+#[inline(always)]
+fn descend_part<const HEAD: usize>(
+    (list, weights): (&[u32], &[Heads]),
+    d_sum: &Vector<HEAD>,
+    d_mass: &Heads,
+    (keys_values, d_keys_values): (&[f32], &mut [f32]),
+    d_scores: &mut [Heads],
+) {
+    let mut total = d_mass.map(|d| -d);
+    for ((row, weights), d_score) in list.iter().zip(weights).zip(&mut *d_scores) {
+        let value = 2 * *row as usize + 1;
+        *d_score = dot(d_sum, vector(keys_values, value));
+        add(vector_mut(d_keys_values, value), weights, d_sum);
+        for head in 0..HEADS {
+            total[head] += weights[head] * d_score[head];
+        }
     }
-
-    /// Adds to the gradients of the values and writes those of the scores, for a loss with these slopes by
-    /// the weighted sum and by the logarithm of the mass.
-    #[inline(always)]
-    fn descend<const HEAD: usize>(
-        self,
-        d_sum: &Vector<HEAD>,
-        d_mass: &Heads,
-        (keys_values, d_keys_values): (&[f32], &mut [f32]),
-        d_scores: &mut [Heads],
-    ) {
-        let mut total = d_mass.map(|d| -d);
-        for ((row, weights), d_score) in self.list.iter().zip(self.weights).zip(&mut *d_scores) {
-            let value = 2 * *row as usize + 1;
-            *d_score = dot(d_sum, vector(keys_values, value));
-            add(vector_mut(d_keys_values, value), weights, d_sum);
-            for head in 0..HEADS {
-                total[head] += weights[head] * d_score[head];
-            }
-        }
-        each(d_scores, &total, |d_score, total| d_score - total);
-        let weights = self.weights.as_flattened();
-        for (d_score, weight) in d_scores.as_flattened_mut().iter_mut().zip(weights) {
-            *d_score *= weight;
-        }
+    each(d_scores, &total, |d_score, total| d_score - total);
+    for (d_score, weight) in d_scores.as_flattened_mut().iter_mut().zip(weights.as_flattened()) {
+        *d_score *= weight;
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::attention::{self, AttentionShape};
     use super::*;
     use crate::gradient_check::random;
+    use crate::layers::attention::{self, AttentionShape};
 
     const ROWS: usize = 13;
 
@@ -355,16 +301,6 @@ mod tests {
         vec![f32::NAN; count]
     }
 
-    /// The bits of what a backward pass writes into space of these sizes, the scores' left out.
-    fn slopes(
-        sizes: [usize; 3],
-        descend: impl FnOnce(&mut [f32], &mut [f32], &mut [f32]),
-    ) -> [Vec<u32>; 2] {
-        let [mut d_scores, mut d_queries, mut d_keys_values] = sizes.map(blank);
-        descend(&mut d_scores, &mut d_queries, &mut d_keys_values);
-        [bits(&d_queries), bits(&d_keys_values)]
-    }
-
     #[test]
     fn without_parts_all_bits_are_those_of_attention() {
         let lists = lists();
@@ -372,46 +308,43 @@ mod tests {
         for width in WIDTHS {
             assert!(is_built_for(width, HEADS) && !is_built_for(width, 2));
             let shape = AttentionShape { width, heads: HEADS };
-            let (queries, keys_values) = (random(1, agents * width), random(2, ROWS * 2 * width));
-            let [mut weights, mut others] = [blank(pairs), blank(pairs)];
-            let [mut output, mut other] = [blank(agents * width), blank(agents * width)];
-            attention::forward(shape, &lists, &queries, &keys_values, &mut weights, &mut output);
-            let (queries, keys_values) = (&*queries, &*keys_values);
-            let (shares, weights_here) = (&mut [], &mut *others);
-            let pass =
-                Forward { queries, keys_values, weights: weights_here, shares, output: &mut other };
-            forward(width, &lists, pass);
-            assert_eq!((bits(&weights), bits(&output)), (bits(&others), bits(&other)), "{width}");
-
-            let (d_output, weights) = (&*random(3, agents * width), &*weights);
-            let sizes = [pairs, queries.len(), keys_values.len()];
-            let want = slopes(sizes, |d_scores, d_queries, d_keys_values| {
-                let pass = attention::Backward {
+            let queries = &*random(1, agents * width);
+            let keys_values = &*random(2, ROWS * 2 * width);
+            let attended = |attend: &dyn Fn(Forward<'_>)| {
+                let (mut of_pairs, mut output) = (blank(pairs), blank(agents * width));
+                let (of_pairs_here, shares) = (&mut *of_pairs, &mut [][..]);
+                attend(Forward {
                     queries,
                     keys_values,
-                    of_pairs: weights,
-                    d_output,
-                    d_scores,
-                    d_queries,
-                    d_keys_values,
-                };
-                attention::backward(shape, &lists, pass);
-            });
-            let found = slopes(sizes, |d_scores, d_queries, d_keys_values| {
-                let (shares, output) = (&[], &[]);
-                let pass = Backward {
-                    queries,
-                    keys_values,
-                    weights,
+                    of_pairs: of_pairs_here,
                     shares,
-                    output,
+                    output: &mut output,
+                });
+                (of_pairs, bits(&output))
+            };
+            let (weights, output) = attended(&|pass| attention::forward(shape, &lists, pass));
+            let (others, other) = attended(&|pass| forward(width, &lists, pass));
+            assert_eq!((bits(&weights), output), (bits(&others), other), "{width}");
+
+            let (d_output, of_pairs) = (&*random(3, agents * width), &*weights);
+            let slopes = |descend: &dyn Fn(Backward<'_>)| {
+                let sizes = [pairs, queries.len(), keys_values.len()];
+                let [mut d_scores, mut d_queries, mut d_keys_values] = sizes.map(blank);
+                descend(Backward {
+                    queries,
+                    keys_values,
+                    of_pairs,
+                    shares: &[],
+                    output: &[],
                     d_output,
-                    d_scores,
-                    d_queries,
-                    d_keys_values,
-                };
-                backward(width, &lists, pass);
-            });
+                    d_scores: &mut d_scores,
+                    d_queries: &mut d_queries,
+                    d_keys_values: &mut d_keys_values,
+                });
+                [d_queries, d_keys_values].map(|slopes| bits(&slopes))
+            };
+            let want = slopes(&|pass| attention::backward(shape, &lists, pass));
+            let found = slopes(&|pass| backward(width, &lists, pass));
             assert_eq!(found, want, "{width}");
         }
     }

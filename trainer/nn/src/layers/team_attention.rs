@@ -5,7 +5,7 @@
 //! Where furthermore only the sum over a team's queries is asked for, weights are added up before rows
 //! are. Both are exact.
 
-use super::attention::{AttentionShape, Columns, List, run_with_shape, softmax_columns_backward};
+use super::attention::{AttentionShape, List, run_with_shape, softmax_columns_backward};
 use super::lists::VisibleLists;
 use super::vectors::add_scaled;
 
@@ -114,23 +114,20 @@ impl Sums {
     }
 }
 
-/// The tensors of a forward pass.
+/// The tensors of a forward pass: queries `[queries, width]`, keys, and the rows that are summed, `[rows, width]` both.
 #[derive(Debug)]
-pub struct Forward<'a> {
-    /// `[queries, width]`
-    pub queries: &'a [f32],
-    /// `[rows, width]`
-    pub keys: &'a [f32],
-    /// What is summed, `[rows, width]`.
-    pub rows: &'a [f32],
+pub(crate) struct Forward<'a> {
+    pub(crate) queries: &'a [f32],
+    pub(crate) keys: &'a [f32],
+    pub(crate) rows: &'a [f32],
     /// Attention weights `[pairs, heads]`, written.
-    pub weights: &'a mut [f32],
+    pub(crate) weights: &'a mut [f32],
     /// `[sums, heads, width]`, written.
-    pub sums: &'a mut [f32],
+    pub(crate) sums: &'a mut [f32],
 }
 
 /// Writes attention weights and weighted sums of rows.
-pub fn forward(shape: AttentionShape, teams: &TeamLists, sums: Sums, pass: Forward<'_>) {
+pub(crate) fn forward(shape: AttentionShape, teams: &TeamLists, sums: Sums, pass: Forward<'_>) {
     let Forward { queries: all, keys, rows: matrix, mut weights, sums: mut out } = pass;
     let mut totals = Vec::new();
     run_with_shape(
@@ -139,7 +136,7 @@ pub fn forward(shape: AttentionShape, teams: &TeamLists, sums: Sums, pass: Forwa
         |shape| {
             let AttentionShape { width, heads } = shape;
             for (queries, rows) in teams.each() {
-                let list = List { rows, columns: Columns::all(width), heads };
+                let list = List::whole(rows, shape);
                 let (count, wide) = (rows.len() * heads, heads * width);
                 let own = weights.split_off_mut(..queries.len() * count).expect("as many as pairs");
                 for (query, weights) in queries.clone().zip(own.chunks_exact_mut(count.max(1))) {
@@ -173,29 +170,22 @@ fn add_up(vectors: &[f32], numbers: usize, totals: &mut Vec<f32>) {
     }
 }
 
-/// The tensors of a backward pass.
+/// The tensors of a backward pass: those of the forward pass, the gradient of the sums, and those of the three inputs, which
+/// are overwritten.
 #[derive(Debug)]
-pub struct Backward<'a> {
-    /// `[queries, width]`, as in the forward pass.
-    pub queries: &'a [f32],
-    /// `[rows, width]`, as in the forward pass.
-    pub keys: &'a [f32],
-    /// `[rows, width]`, as in the forward pass.
-    pub rows: &'a [f32],
-    /// Attention weights `[pairs, heads]` that the forward pass wrote.
-    pub weights: &'a [f32],
-    /// Gradient of the sums `[sums, heads, width]`.
-    pub d_sums: &'a [f32],
-    /// Gradient of the queries `[queries, width]`, overwritten.
-    pub d_queries: &'a mut [f32],
-    /// Gradient of the keys `[rows, width]`, overwritten.
-    pub d_keys: &'a mut [f32],
-    /// Gradient of the rows as they are summed `[rows, width]`, overwritten.
-    pub d_rows: &'a mut [f32],
+pub(crate) struct Backward<'a> {
+    pub(crate) queries: &'a [f32],
+    pub(crate) keys: &'a [f32],
+    pub(crate) rows: &'a [f32],
+    pub(crate) weights: &'a [f32],
+    pub(crate) d_sums: &'a [f32],
+    pub(crate) d_queries: &'a mut [f32],
+    pub(crate) d_keys: &'a mut [f32],
+    pub(crate) d_rows: &'a mut [f32],
 }
 
 /// Writes the gradients of queries, keys and rows.
-pub fn backward(shape: AttentionShape, teams: &TeamLists, sums: Sums, pass: Backward<'_>) {
+pub(crate) fn backward(shape: AttentionShape, teams: &TeamLists, sums: Sums, pass: Backward<'_>) {
     let Backward { queries: all, keys, rows: matrix, mut weights, mut d_sums, .. } = pass;
     let Backward { d_queries, d_keys, d_rows, .. } = pass;
     let (mut totals, mut d_totals, mut d_scores) = (Vec::new(), Vec::new(), Vec::new());
@@ -207,7 +197,7 @@ pub fn backward(shape: AttentionShape, teams: &TeamLists, sums: Sums, pass: Back
             d_keys.fill(0.0);
             d_rows.fill(0.0);
             for (queries, rows) in teams.each() {
-                let list = List { rows, columns: Columns::all(width), heads };
+                let list = List::whole(rows, shape);
                 let (count, wide) = (rows.len() * heads, heads * width);
                 let own = weights.split_off(..queries.len() * count).expect("as many as pairs");
                 d_totals.resize(count, 0.0);

@@ -1,7 +1,8 @@
-//! The inner loops of the layers: sums of products, in a fixed order.
+//! The inner loops of the layers: sums of products, in a fixed order; and the widest build of such loops that the processor
+//! offers.
 //!
-//! All are inlined into their callers, which are built a second time for AVX2 (see
-//! `wide.rs`). Without fused multiply-add both builds give the same bits.
+//! All are inlined into their callers, which are built a second time for AVX2: see [`run_widest`]. Without fused multiply-add
+//! both builds give the same bits.
 
 /// Adds `factor` times `values` to `out`.
 #[inline(always)]
@@ -68,12 +69,7 @@ const GROUP: usize = 4;
 pub fn dots(a: &[f32], b: &[f32], out: &mut [f32]) {
     let width = a.len() / out.len().max(1);
     let step = if b.len() == width { 0 } else { width };
-    write_dots(out, |index| (&a[index * width..][..width], &b[index * step..][..width]));
-}
-
-/// Writes the dot product of each pair of vectors, which have equal lengths.
-#[inline(always)]
-fn write_dots<'a>(out: &mut [f32], pair: impl Fn(usize) -> (&'a [f32], &'a [f32])) {
+    let pair = |index: usize| (&a[index * width..][..width], &b[index * step..][..width]);
     let (groups, rest) = out.as_chunks_mut::<GROUP>();
     let grouped = groups.len() * GROUP;
     for (index, group) in groups.iter_mut().enumerate() {
@@ -104,6 +100,40 @@ fn group_of_dots<'a, const COUNT: usize>(
         }
     }
     lanes.map(|[a, b, c, d]| (a + c) + (b + d))
+}
+
+/// Runs `work` with AVX2 where the processor has it; else as it is. What is to be built for both is `#[inline(always)]`,
+/// `work` itself and all that it calls.
+#[inline]
+pub fn run_widest<R>(work: impl FnOnce() -> R) -> R {
+    #[cfg(target_arch = "x86_64")]
+    if std::is_x86_feature_detected!("avx2") {
+        // SAFETY: the only obligation of calling a function with target features is that the processor has
+        // them, which the line above asked.
+        #[expect(unsafe_code, reason = "half of an update is loops, which AVX2 halves")]
+        return unsafe { with_avx2(work) };
+    }
+    work()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn with_avx2<R>(work: impl FnOnce() -> R) -> R {
+    work()
+}
+
+/// The same of work that has a width: the usual ones are constants, which unrolls its loops and leaves no checks in them.
+#[inline]
+pub(super) fn run_with_width(width: usize, work: impl FnOnce(usize)) {
+    run_widest(
+        #[inline(always)]
+        || match width {
+            32 => work(32),
+            64 => work(64),
+            128 => work(128),
+            width => work(width),
+        },
+    );
 }
 
 #[cfg(test)]

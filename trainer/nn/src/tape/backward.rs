@@ -1,9 +1,10 @@
 //! The way back: from the slope of the loss to those of all parameters, step by step.
 
+use std::mem;
 use std::ops::Range;
 
-use super::{Gru, Indices, Linear, Operation, Pass, Tape, Var};
-use crate::layers::attention::AttentionShape;
+use super::{Attended, Gru, Indices, Linear, Node, Operation, Pass, Tape, Var};
+use crate::layers::attention::{AttentionShape, Backward};
 use crate::layers::gru::GruShape;
 use crate::layers::matrix::Store;
 use crate::layers::{
@@ -40,31 +41,24 @@ impl Tape {
             Operation::Given => {}
             Operation::Linear { x, layer, rectified } => {
                 if rectified {
-                    elementwise::rectify_backward(
-                        &self.values[own.clone()],
-                        &mut self.slopes[own.clone()],
-                    );
+                    self.descend_rectified(own.clone());
                 }
                 self.descend_linear(x, layer, own, parameters, gradient);
             }
             Operation::LinearSum { x, layers } => {
-                elementwise::rectify_backward(
-                    &self.values[own.clone()],
-                    &mut self.slopes[own.clone()],
-                );
+                self.descend_rectified(own.clone());
                 for (x, layer) in x.into_iter().zip(layers) {
                     self.descend_linear(x, layer, own.clone(), parameters, gradient);
                 }
             }
             Operation::SparseLinear { rows, layer, rectified } => {
                 if rectified {
-                    elementwise::rectify_backward(
-                        &self.values[own.clone()],
-                        &mut self.slopes[own.clone()],
-                    );
+                    self.descend_rectified(own.clone());
                 }
-                let [weight, bias] = weight_and_bias(layer, gradient);
-                let rows = &self.sparse.things[rows as usize];
+                let bias = layer.bias_range().expect("sparse layers have offsets");
+                let tensors = gradient.get_disjoint_mut([layer.weight_range(), bias]);
+                let [weight, bias] = tensors.expect("tensors beside each other");
+                let rows = &self.sparse.things[rows];
                 sparse_linear::backward(rows, &self.slopes[own], weight, bias);
             }
             Operation::Activate { x, activation } => self.from(x, own, |store, _, y, d_y, d_x| {
@@ -72,23 +66,17 @@ impl Tape {
             }),
             Operation::Softmax { x } => self.through_rows(x, own, softmax::backward),
             Operation::LogSoftmax { x } => self.through_rows(x, own, softmax::log_backward),
-            Operation::Attend { inputs, lists, weights, shape, parts } => {
-                let places = [lists, weights].map(|place| place as usize);
-                self.descend_attention(inputs, places, shape, parts, own);
-            }
-            Operation::SquaredScores { inputs, lists, scores, shape } => {
-                let places = [lists, scores].map(|place| place as usize);
-                self.descend_scores(inputs, places, shape, own);
+            Operation::Attend { inputs, lists, kept, shape, to } => {
+                self.descend_attention(inputs, [lists, kept], shape, to, own);
             }
             Operation::Recur { x, pass, carry, slots, layer } => {
-                let places = [pass, carry, slots].map(|place| place as usize);
-                self.descend_gru(x, places, layer, own, parameters, gradient);
+                self.descend_gru(x, [pass, carry, slots], layer, own, parameters, gradient);
             }
             Operation::Unfold { x, shape } => {
                 self.added(x, (0, 0), own, |_, d_y, d_x| unfold::backward(shape, d_y, d_x));
             }
             Operation::Gather { x, indices } => {
-                let columns = self.columns(x);
+                let columns = self.of(x).columns;
                 self.added(x, indices, own, |rows, d_y, d_x| {
                     for (row, d_y) in rows.iter().zip(d_y.chunks_exact(columns)) {
                         let d_x = &mut d_x[*row as usize * columns..][..columns];
@@ -97,7 +85,7 @@ impl Tape {
                 });
             }
             Operation::Scatter { x, indices } => {
-                let columns = self.columns(x);
+                let columns = self.of(x).columns;
                 self.added(x, indices, own, |rows, d_y, d_x| {
                     for (row, d_x) in rows.iter().zip(d_x.chunks_exact_mut(columns)) {
                         let d_y = &d_y[*row as usize * columns..][..columns];
@@ -106,7 +94,7 @@ impl Tape {
                 });
             }
             Operation::Pick { x, indices } => {
-                let width = self.columns(x);
+                let width = self.of(x).columns;
                 self.added(x, indices, own, |columns, d_y, d_x| {
                     let rows = d_x.chunks_exact_mut(width).zip(d_y);
                     for ((d_x, d_y), column) in rows.zip(columns) {
@@ -115,19 +103,19 @@ impl Tape {
                 });
             }
             Operation::Columns { x, first } => {
-                let (rows, width) = (self.rows(x), self.columns(x));
+                let Node { rows, columns: width, .. } = self.of(x);
                 self.added(x, (0, 0), own, |_, d_y, d_x| {
                     let columns = d_y.len() / rows.max(1);
                     let slopes = d_x.chunks_exact_mut(width).zip(d_y.chunks_exact(columns));
                     for (d_x, d_y) in slopes {
-                        let d_x = &mut d_x[first as usize..][..columns];
+                        let d_x = &mut d_x[first..][..columns];
                         elementwise::scale(1.0, d_y, Store::Add, d_x);
                     }
                 });
             }
             Operation::Concat { parts } => self.descend_concat(parts, own),
             Operation::SumColumns { x } => {
-                let width = self.columns(x);
+                let width = self.of(x).columns;
                 self.from(x, own, |store, _, _, d_y, d_x| {
                     for (d_x, d_y) in d_x.chunks_exact_mut(width).zip(d_y) {
                         match store {
@@ -161,7 +149,7 @@ impl Tape {
             }
             Operation::ScaleRows { x, by } => self.descend_scale_rows(x, by, own),
             Operation::Dueling { value, advantages } => {
-                let columns = self.columns(advantages);
+                let columns = self.of(advantages).columns;
                 self.from(value, own.clone(), |store, _, _, d_y, d_x| {
                     for (d_x, d_y) in d_x.iter_mut().zip(d_y.chunks_exact(columns)) {
                         let sum = d_y.iter().sum::<f32>();
@@ -177,19 +165,19 @@ impl Tape {
             }
             Operation::SquaredError { x, target, factor } => {
                 self.descend_loss(x, target, own, |x, target, d_y| {
-                    elementwise::squared_error_slope(x - target, factor * d_y)
+                    2.0 * (factor * d_y) * (x - target)
                 });
             }
             Operation::Huber { x, target, factor, bound } => {
                 self.descend_loss(x, target, own, |x, target, d_y| {
-                    elementwise::huber_slope(x - target, factor * d_y, bound)
+                    factor * d_y * (x - target).clamp(-bound, bound)
                 });
             }
             Operation::SoftmaxGroups { x, indices, groups } => {
-                self.descend_softmax_groups(x, indices, groups as usize, own);
+                self.descend_softmax_groups(x, indices, groups, own);
             }
             Operation::Parameter { start } => {
-                let place = start as usize..start as usize + own.len();
+                let place = start..start + own.len();
                 elementwise::scale(1.0, &self.slopes[own], Store::Add, &mut gradient[place]);
             }
             Operation::Product { a, b, transposed } => self.descend_product(a, b, transposed, own),
@@ -200,23 +188,25 @@ impl Tape {
                 });
             }
             Operation::NormaliseRows { x } => {
-                let (range, columns) = (self.of(x).range(), self.columns(x));
+                let (range, columns) = (self.of(x).range(), self.of(x).columns);
                 self.from(x, own, |store, values, y, d_y, d_x| {
                     let known = [&values[range], y, d_y];
                     normalise::rows_backward(columns, known, store, d_x);
                 });
             }
             Operation::Absorb { inputs, keys_values, lists, pass, heads } => {
-                let places = [lists, pass, heads].map(|place| place as usize);
                 let weight = keys_values.weight_range();
                 let matrix = (&parameters[weight.clone()], &mut gradient[weight]);
-                self.descend_absorbed(inputs, matrix, places, own);
+                self.descend_absorbed(inputs, matrix, [lists, pass, heads], own);
             }
             Operation::AttendInTeams { inputs, lists, weights, heads, sums } => {
-                let places = [lists, weights, heads].map(|place| place as usize);
-                self.descend_teams(inputs, places, sums, own);
+                self.descend_teams(inputs, [lists, weights, heads], sums, own);
             }
         }
+    }
+
+    fn descend_rectified(&mut self, own: Range<usize>) {
+        elementwise::rectify_backward(&self.values[own.clone()], &mut self.slopes[own]);
     }
 
     fn descend_linear(
@@ -265,8 +255,8 @@ impl Tape {
     fn descend_concat(&mut self, parts: Indices, own: Range<usize>) {
         let mut first = 0;
         for part in parts.0..parts.1 {
-            let part = Var(self.indices[part as usize]);
-            let (rows, columns) = (self.rows(part), self.columns(part));
+            let part = Var(self.indices[part]);
+            let Node { rows, columns, .. } = self.of(part);
             self.from(part, own.clone(), |store, _, _, d_y, d_x| {
                 // Of no rows nothing is known of their width, nor needed.
                 let width = (d_y.len() / rows.max(1)).max(1);
@@ -279,7 +269,7 @@ impl Tape {
     }
 
     fn descend_scale_rows(&mut self, x: Var, by: Var, own: Range<usize>) {
-        let columns = self.columns(x);
+        let columns = self.of(x).columns;
         let (rows, factors) = (self.of(x).range(), self.of(by).range());
         self.from(x, own.clone(), |store, values, _, d_y, d_x| {
             let slopes = d_x.chunks_exact_mut(columns).zip(d_y.chunks_exact(columns));
@@ -317,9 +307,9 @@ impl Tape {
     fn descend_attention(
         &mut self,
         inputs: [Var; 2],
-        [lists, weights]: [usize; 2],
+        [lists, kept]: [usize; 2],
         shape: AttentionShape,
-        parts: bool,
+        to: Attended,
         own: Range<usize>,
     ) {
         let (ranges, results) = (inputs.map(|var| self.of(var).range()), own.clone());
@@ -328,64 +318,130 @@ impl Tape {
             let (visible, values) = (&tape.lists.things[lists], &tape.values);
             let [queries, keys_values] = ranges.map(|range| &values[range]);
             let [d_queries, d_keys_values] = d_inputs;
-            let (of_pairs, behind) = values[weights..].split_at(pairs);
-            if parts || split_attention::is_built_for(shape.width, shape.heads) {
-                let pass = split_attention::Backward {
-                    queries,
-                    keys_values,
-                    weights: of_pairs,
-                    shares: behind,
-                    output: &values[results],
-                    d_output,
-                    d_scores,
-                    d_queries,
-                    d_keys_values,
-                };
-                split_attention::backward(shape.width, visible, pass);
-            } else {
-                let pass = attention::Backward {
-                    queries,
-                    keys_values,
-                    of_pairs,
-                    d_output,
-                    d_scores,
-                    d_queries,
-                    d_keys_values,
-                };
-                attention::backward(shape, visible, pass);
-            }
-        });
-    }
-
-    /// Through the squared scores of queries and keys.
-    fn descend_scores(
-        &mut self,
-        inputs: [Var; 2],
-        [lists, scores]: [usize; 2],
-        shape: AttentionShape,
-        own: Range<usize>,
-    ) {
-        let ranges = inputs.map(|var| self.of(var).range());
-        let pairs = self.lists.things[lists].pairs() * shape.heads;
-        self.descend_into(inputs, pairs, own, |tape, d_output, d_inputs, d_scores| {
-            let [queries, keys_values] = ranges.map(|range| &tape.values[range]);
-            let [d_queries, d_keys_values] = d_inputs;
-            let pass = attention::Backward {
+            let (of_pairs, shares) = values[kept..].split_at(pairs);
+            let pass = Backward {
                 queries,
                 keys_values,
-                of_pairs: &tape.values[scores..][..pairs],
+                of_pairs,
+                shares,
+                output: &values[results],
                 d_output,
                 d_scores,
                 d_queries,
                 d_keys_values,
             };
-            attention::squared_scores_backward(shape, &tape.lists.things[lists], pass);
+            match to {
+                Attended::Scores => attention::squared_scores_backward(shape, visible, pass),
+                Attended::Whole if !split_attention::is_built_for(shape.width, shape.heads) => {
+                    attention::backward(shape, visible, pass);
+                }
+                _ => split_attention::backward(shape.width, visible, pass),
+            }
         });
     }
 }
 
-/// The gradients of weight and bias of a layer that has both.
-fn weight_and_bias(layer: Linear, gradient: &mut [f32]) -> [&mut [f32]; 2] {
-    let bias = layer.bias_range().expect("sparse layers have offsets");
-    gradient.get_disjoint_mut([layer.weight_range(), bias]).expect("tensors beside each other")
+/// Where steps put the slopes by their inputs: in the place of nothing, or added to those of other steps.
+impl Tape {
+    /// Has `write` store the slopes by `x`, from all values before the step, its results and its slopes.
+    pub(super) fn from(
+        &mut self,
+        x: Var,
+        own: Range<usize>,
+        write: impl FnOnce(Store, &[f32], &[f32], &[f32], &mut [f32]),
+    ) {
+        let Some((range, store)) = self.slopes_of(x) else { return };
+        let (before, rest) = self.slopes.split_at_mut(own.start);
+        let (values, results) = self.values.split_at(own.start);
+        write(store, values, &results[..own.len()], &rest[..own.len()], &mut before[range]);
+    }
+
+    /// Has `write` make slopes by inputs of those by the results, in so much space besides.
+    ///
+    /// They are written where they belong if nothing stands there yet.
+    pub(super) fn descend_into<const N: usize>(
+        &mut self,
+        inputs: [Var; N],
+        space: usize,
+        own: Range<usize>,
+        write: impl FnOnce(&mut Self, &[f32], [&mut [f32]; N], &mut [f32]),
+    ) {
+        let mut places = [const { None }; N];
+        for (place, x) in places.iter_mut().zip(inputs).rev() {
+            *place = self.slopes_of(x);
+        }
+        let are_empty = places.iter().all(|place| matches!(place, Some((_, Store::Replace))));
+        let ranges = inputs.map(|x| self.of(x).range());
+        let (mut slopes, mut scratch) = (mem::take(&mut self.slopes), mem::take(&mut self.scratch));
+        let (before, rest) = slopes.split_at_mut(own.start);
+        let numbers = if are_empty { 0 } else { ranges.iter().map(Range::len).sum() };
+        let (space, mut rest_of_space) = sized(&mut scratch, space + numbers).split_at_mut(space);
+        if are_empty {
+            let d_x = before.get_disjoint_mut(ranges).expect("inputs apart from each other");
+            write(self, &rest[..own.len()], d_x, space);
+        } else {
+            let part = |range: Range<usize>| rest_of_space.split_off_mut(..range.len());
+            let mut computed = ranges.map(part).map(|part| part.expect("room for all inputs"));
+            write(self, &rest[..own.len()], computed.each_mut().map(|d_x| &mut **d_x), space);
+            for (place, computed) in places.into_iter().zip(&computed).rev() {
+                if let Some((range, store)) = place {
+                    elementwise::scale(1.0, computed, store, &mut before[range]);
+                }
+            }
+        }
+        (self.slopes, self.scratch) = (slopes, scratch);
+    }
+
+    /// Has `turn` make slopes by `x` of those by the results, from input and results.
+    pub(super) fn through(
+        &mut self,
+        x: Var,
+        own: Range<usize>,
+        turn: impl FnOnce(&[f32], &[f32], &mut [f32]),
+    ) {
+        let (range, results) = (self.of(x).range(), own.clone());
+        self.descend_into([x], 0, own, |tape, d_y, [d_x], _| {
+            d_x.copy_from_slice(d_y);
+            turn(&tape.values[range], &tape.values[results], d_x);
+        });
+    }
+
+    /// Has `turn` make slopes by a row of `x` of those by a row of the results, from that row.
+    pub(super) fn through_rows(
+        &mut self,
+        x: Var,
+        own: Range<usize>,
+        turn: impl Fn(&[f32], &mut [f32]),
+    ) {
+        let columns = self.of(x).columns;
+        self.through(x, own, |_, y, d_x| {
+            let rows = y.chunks_exact(columns).zip(d_x.chunks_exact_mut(columns));
+            rows.for_each(|(y, d_x)| turn(y, d_x));
+        });
+    }
+
+    /// Has `add` add to the slopes by `x`, from indices and the slopes by the results.
+    pub(super) fn added(
+        &mut self,
+        x: Var,
+        indices: Indices,
+        own: Range<usize>,
+        add: impl FnOnce(&[u32], &[f32], &mut [f32]),
+    ) {
+        let Some((range, store)) = self.slopes_of(x) else { return };
+        let (before, rest) = self.slopes.split_at_mut(own.start);
+        let d_x = &mut before[range];
+        if store == Store::Replace {
+            d_x.fill(0.0);
+        }
+        add(&self.indices[indices.0..indices.1], &rest[..own.len()], d_x);
+    }
+}
+
+/// The first so many numbers of a buffer that only grows.
+pub(super) fn sized(buffer: &mut Vec<f32>, numbers: usize) -> &mut [f32] {
+    if buffer.len() < numbers {
+        buffer.resize(numbers, 0.0);
+    }
+    &mut buffer[..numbers]
 }

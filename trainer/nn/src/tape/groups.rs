@@ -3,7 +3,7 @@
 use std::mem;
 use std::ops::Range;
 
-use super::slopes::sized;
+use super::backward::sized;
 use super::{Indices, Operation, Pass, Tape, Var};
 use crate::layers::elementwise;
 use crate::layers::matrix::Store;
@@ -14,7 +14,7 @@ impl Pass<'_> {
     pub fn mean_by(&mut self, x: Var, to: &[u32], rows: usize) -> Var {
         let sums = self.scatter(x, to, rows);
         let shares = self.tape.push(Operation::Given, rows, 1, false);
-        let (_, counts) = self.tape.split(shares);
+        let ([], counts) = self.tape.split([], shares);
         counts.fill(0.0);
         to.iter().for_each(|row| counts[*row as usize] += 1.0);
         counts.iter_mut().for_each(|count| *count = 1.0 / count.max(1.0));
@@ -26,7 +26,7 @@ impl Pass<'_> {
         let [rows, columns] = self.size(x);
         assert_eq!(rows, to.len(), "a group for every row");
         let indices = self.tape.store_indices(to.iter().copied());
-        let operation = Operation::SoftmaxGroups { x, indices, groups: groups as u32 };
+        let operation = Operation::SoftmaxGroups { x, indices, groups };
         let mut scratch = mem::take(&mut self.tape.scratch);
         let of_groups = sized(&mut scratch, groups * columns);
         let y = self.step(operation, x, [rows, columns], |x, y| {
@@ -82,10 +82,10 @@ impl Tape {
         groups: usize,
         own: Range<usize>,
     ) {
-        let columns = self.columns(x);
+        let columns = self.of(x).columns;
         let results = own.clone();
         self.descend_into([x], groups * columns, own, |tape, d_y, [d_x], sums| {
-            let to = &tape.indices[indices.0 as usize..indices.1 as usize];
+            let to = &tape.indices[indices.0..indices.1];
             let y = &tape.values[results];
             elementwise::multiply(y, d_y, Store::Replace, d_x);
             sums.fill(0.0);

@@ -1,7 +1,7 @@
 //! Steps with parameters, and those of networks: layers, attention, memories.
 
-use super::{Gru, Linear, Operation, Pass, Var};
-use crate::layers::attention::AttentionShape;
+use super::{Attended, Gru, Linear, Operation, Pass, Var};
+use crate::layers::attention::{AttentionShape, Forward};
 use crate::layers::gru::GruShape;
 use crate::layers::matrix::Store;
 use crate::layers::split_attention::{self, BLOCKS};
@@ -36,9 +36,7 @@ impl Pass<'_> {
         let [weight, added_weight] =
             [layer, added_layer].map(|layer| &self.parameters[layer.weight_range()]);
         let bias = &self.parameters[layer.bias_range().expect("the first part has the offsets")];
-        let ranges = [x, added].map(|var| self.tape.of(var).range());
-        let (before, out) = self.tape.split(y);
-        let [x, added] = ranges.map(|range| &before[range]);
+        let ([x, added], out) = self.tape.split([x, added], y);
         linear::product(layer.shape, Store::Replace, x, weight, out);
         linear::product(added_layer.shape, Store::Add, added, added_weight, out);
         linear::add_bias(0.0, bias, out);
@@ -52,9 +50,8 @@ impl Pass<'_> {
         let y = self.tape.push(operation, rows, layer.shape.output, true);
         let weight = &self.parameters[layer.weight_range()];
         let bias = layer.bias_range().map(|range| &self.parameters[range]);
-        let range = self.tape.of(x).range();
-        let (before, out) = self.tape.split(y);
-        linear::forward_without_bias(layer.shape, &before[range], weight, out);
+        let ([x], out) = self.tape.split([x], y);
+        linear::product(layer.shape, Store::Replace, x, weight, out);
         match bias {
             Some(bias) if rectified => linear::add_bias(0.0, bias, out),
             Some(bias) => linear::add_bias(f32::NEG_INFINITY, bias, out),
@@ -82,7 +79,7 @@ impl Pass<'_> {
         let y = self.tape.push(operation, features.len(), layer.shape.output, true);
         let weight = &self.parameters[layer.weight_range()];
         let bias = layer.bias_range().expect("sparse layers have offsets");
-        let out = self.tape.split(y).1;
+        let ([], out) = self.tape.split([], y);
         sparse_linear::forward(features, weight, &self.parameters[bias], out);
         if rectified {
             elementwise::rectify(out);
@@ -120,7 +117,7 @@ impl Pass<'_> {
         visible: &VisibleLists,
         heads: usize,
     ) -> Var {
-        self.attend([queries, keys_values], visible, heads, false)
+        self.attend([queries, keys_values], visible, heads, Attended::Whole)
     }
 
     /// Three blocks `[3 * queries, width]` of attention in four heads, at a width of one of
@@ -133,50 +130,8 @@ impl Pass<'_> {
         keys_values: Var,
         visible: &VisibleLists,
     ) -> Var {
-        self.attend([queries, keys_values], visible, split_attention::HEADS, true)
-    }
-
-    fn attend(
-        &mut self,
-        inputs: [Var; 2],
-        visible: &VisibleLists,
-        heads: usize,
-        parts: bool,
-    ) -> Var {
-        let [count, width] = self.size(inputs[0]);
-        assert_eq!((count, 2 * width), (visible.queries(), self.size(inputs[1])[1]), "sizes");
-        let shape = AttentionShape { width, heads };
-        let lists = self.tape.keep_lists(visible);
-        let pairs = visible.pairs() * heads;
-        let (blocks, shares) = if parts { (BLOCKS, count * heads) } else { (1, 0) };
-        let operation = |weights| Operation::Attend { inputs, lists, weights, shape, parts };
-        let size = [blocks * count, width];
-        self.keep(pairs + shares, operation, inputs, size, |inputs, kept, output| {
-            let ([queries, keys_values], (weights, shares)) = (inputs, kept.split_at_mut(pairs));
-            if parts || split_attention::is_built_for(width, heads) {
-                let pass =
-                    split_attention::Forward { queries, keys_values, weights, shares, output };
-                split_attention::forward(width, visible, pass);
-            } else {
-                attention::forward(shape, visible, queries, keys_values, weights, output);
-            }
-        })
-    }
-
-    /// `[pairs, heads]`: the weights of what each query sees, list behind list, of a matrix that is
-    /// [`attention`](Self::attention)'s or [`absorbed_attention`](Self::absorbed_attention)'s.
-    pub fn attention_weights(&self, attended: Var) -> Option<&[f32]> {
-        let pairs = |lists: u32| self.tape.lists.things[lists as usize].pairs();
-        match self.tape.of(attended).operation {
-            Operation::Attend { lists, weights, shape, .. } => {
-                Some(&self.tape.values[weights as usize..][..pairs(lists) * shape.heads])
-            }
-            Operation::Absorb { lists, pass, heads, .. } => {
-                let weights = self.tape.absorbed.things[pass as usize].weights();
-                Some(&weights[..pairs(lists) * heads as usize])
-            }
-            _ => None,
-        }
+        let inputs = [queries, keys_values];
+        self.attend(inputs, visible, split_attention::HEADS, Attended::Parts)
     }
 
     /// `[queries, 1]`: the sum of the squared scores of what each query sees, before they are scaled, over all heads.
@@ -187,15 +142,53 @@ impl Pass<'_> {
         visible: &VisibleLists,
         heads: usize,
     ) -> Var {
-        let [count, width] = self.size(queries);
-        assert_eq!((count, 2 * width), (visible.queries(), self.size(keys_values)[1]), "sizes");
-        let (shape, inputs) = (AttentionShape { width, heads }, [queries, keys_values]);
-        let lists = self.tape.keep_lists(visible);
-        let operation = |scores| Operation::SquaredScores { inputs, lists, scores, shape };
-        let pairs = visible.pairs() * heads;
-        self.keep(pairs, operation, inputs, [count, 1], |[queries, keys_values], scores, y| {
-            attention::squared_scores(shape, visible, queries, keys_values, scores, y);
+        self.attend([queries, keys_values], visible, heads, Attended::Scores)
+    }
+
+    fn attend(
+        &mut self,
+        inputs: [Var; 2],
+        visible: &VisibleLists,
+        heads: usize,
+        to: Attended,
+    ) -> Var {
+        let [count, width] = self.size(inputs[0]);
+        assert_eq!((count, 2 * width), (visible.queries(), self.size(inputs[1])[1]), "sizes");
+        let shape = AttentionShape { width, heads };
+        let (lists, pairs) = (self.tape.keep_lists(visible), visible.pairs() * heads);
+        let (size, shares) = match to {
+            Attended::Whole => ([count, width], 0),
+            Attended::Parts => ([BLOCKS * count, width], count * heads),
+            Attended::Scores => ([count, 1], 0),
+        };
+        let operation = |kept| Operation::Attend { inputs, lists, kept, shape, to };
+        self.keep(pairs + shares, operation, inputs, size, |inputs, kept, output| {
+            let ([queries, keys_values], (of_pairs, shares)) = (inputs, kept.split_at_mut(pairs));
+            let pass = Forward { queries, keys_values, of_pairs, shares, output };
+            match to {
+                Attended::Scores => attention::squared_scores(shape, visible, pass),
+                Attended::Whole if !split_attention::is_built_for(width, heads) => {
+                    attention::forward(shape, visible, pass);
+                }
+                _ => split_attention::forward(width, visible, pass),
+            }
         })
+    }
+
+    /// `[pairs, heads]`: the weights of what each query sees, list behind list, of a matrix that is
+    /// [`attention`](Self::attention)'s or [`absorbed_attention`](Self::absorbed_attention)'s.
+    pub fn attention_weights(&self, attended: Var) -> Option<&[f32]> {
+        let pairs = |lists: usize| self.tape.lists.things[lists].pairs();
+        match self.tape.of(attended).operation {
+            Operation::Attend { lists, kept, shape, .. } => {
+                Some(&self.tape.values[kept..][..pairs(lists) * shape.heads])
+            }
+            Operation::Absorb { lists, pass, heads, .. } => {
+                let weights = self.tape.absorbed.things[pass].weights();
+                Some(&weights[..pairs(lists) * heads])
+            }
+            _ => None,
+        }
     }
 
     /// The memories of a recurrent unit after each step of `x [steps * slots, width]`, from `memory
@@ -208,12 +201,11 @@ impl Pass<'_> {
         let first = self.tape.carry.len();
         self.tape.carry.extend_from_slice(carry);
         let (pass, _) = self.tape.grus.next();
-        let operation =
-            Operation::Recur { x, pass, carry: first as u32, slots: slots as u32, layer };
+        let operation = Operation::Recur { x, pass, carry: first, slots, layer };
         let y = self.tape.push(operation, rows, width, true);
         let (range, out) = (self.tape.of(x).range(), self.tape.of(y).range());
         let (before, rest) = self.tape.values.split_at_mut(out.start);
-        self.tape.grus.things[pass as usize].forward(
+        self.tape.grus.things[pass].forward(
             GruShape { width, slots },
             &self.parameters[layer.range()],
             (&before[range], carry),

@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use super::{Linear, Operation, Pass, Tape, Var};
+use super::{Attended, Linear, Operation, Pass, Tape, Var};
 use crate::layers::absorbed_attention::AbsorbedBackward;
 use crate::layers::attention::AttentionShape;
 use crate::layers::elementwise::{self, Activation};
@@ -17,9 +17,9 @@ use crate::layers::{TeamLists, VisibleLists};
 impl Pass<'_> {
     /// Some parameters as a matrix, from where they begin.
     pub fn parameter(&mut self, start: usize, [rows, columns]: [usize; 2]) -> Var {
-        let y = self.tape.push(Operation::Parameter { start: start as u32 }, rows, columns, true);
+        let y = self.tape.push(Operation::Parameter { start }, rows, columns, true);
         let own = &self.parameters[start..start + rows * columns];
-        self.tape.split(y).1.copy_from_slice(own);
+        self.tape.split([], y).1.copy_from_slice(own);
         y
     }
 
@@ -106,13 +106,13 @@ impl Pass<'_> {
         assert_eq!((count, width), (visible.queries(), self.size(entities)[1]), "sizes");
         let (lists, inputs) = (self.tape.keep_lists(visible), [queries, entities]);
         let (pass, _) = self.tape.absorbed.next();
-        let operation = Operation::Absorb { inputs, keys_values, lists, pass, heads: heads as u32 };
+        let operation = Operation::Absorb { inputs, keys_values, lists, pass, heads };
         let y = self.tape.push(operation, count, width, true);
         let ranges = inputs.map(|var| self.tape.of(var).range());
         let out = self.tape.of(y).range();
         let (before, rest) = self.tape.values.split_at_mut(out.start);
         let [queries, entities] = ranges.map(|range| &before[range]);
-        self.tape.absorbed.things[pass as usize].forward(
+        self.tape.absorbed.things[pass].forward(
             AttentionShape { width, heads },
             visible,
             &self.parameters[keys_values.weight_range()],
@@ -135,9 +135,8 @@ impl Pass<'_> {
         assert_eq!((count, keys), (teams.queries(), rows), "sizes");
         let (lists, kept) = self.tape.teams.next();
         kept.copy_from(teams);
-        let (own_heads, size) = (heads as u32, [sums.count(teams), heads * width]);
-        let operation =
-            |weights| Operation::AttendInTeams { inputs, lists, weights, heads: own_heads, sums };
+        let size = [sums.count(teams), heads * width];
+        let operation = |weights| Operation::AttendInTeams { inputs, lists, weights, heads, sums };
         self.keep(teams.pairs() * heads, operation, inputs, size, |inputs, weights, out| {
             let [queries, keys, rows] = inputs;
             let pass = team_attention::Forward { queries, keys, rows, weights, sums: out };
@@ -165,27 +164,27 @@ fn turned(numbers: &[f32], [rows, columns]: [usize; 2], transposed: bool) -> Mat
 impl Tape {
     /// Multiplications of a step, and how many gradients its way back takes as many for.
     fn multiplications(&self, node: &super::Node) -> (usize, usize) {
-        let (rows, columns) = (node.rows as usize, node.columns as usize);
+        let super::Node { rows, columns, .. } = *node;
         let count = match node.operation {
             Operation::Linear { layer, .. } => rows * columns * layer.shape.input,
             Operation::LinearSum { layers, .. } => {
                 rows * columns * layers.iter().map(|layer| layer.shape.input).sum::<usize>()
             }
             Operation::SparseLinear { rows, .. } => {
-                return (self.sparse.things[rows as usize].entries() * columns, 1);
+                return (self.sparse.things[rows].entries() * columns, 1);
             }
-            Operation::Product { a, .. } => rows * columns * self.columns(a),
-            Operation::Attend { lists, parts: false, .. } => {
-                2 * self.lists.things[lists as usize].pairs() * columns
+            Operation::Product { a, .. } => rows * columns * self.of(a).columns,
+            Operation::Attend { lists, to: Attended::Whole, .. } => {
+                2 * self.lists.things[lists].pairs() * columns
             }
             Operation::Absorb { lists, heads, .. } => {
-                let pairs = self.lists.things[lists as usize].pairs();
-                2 * (rows * columns + pairs * heads as usize) * columns
+                let pairs = self.lists.things[lists].pairs();
+                2 * (rows * columns + pairs * heads) * columns
             }
             Operation::AttendInTeams { lists, heads, sums, .. } => {
-                let teams = &self.teams.things[lists as usize];
+                let teams = &self.teams.things[lists];
                 let summed = if sums == Sums::PerQuery { teams.pairs() } else { teams.members() };
-                (teams.pairs() / heads as usize + summed) * columns
+                (teams.pairs() / heads + summed) * columns
             }
             Operation::Recur { .. } => 6 * rows * columns * columns,
             _ => 0,
@@ -195,7 +194,7 @@ impl Tape {
 
     pub(super) fn descend_product(&mut self, a: Var, b: Var, transposed: bool, own: Range<usize>) {
         let [(a_range, a_size), (b_range, b_size)] =
-            [a, b].map(|var| (self.of(var).range(), [self.rows(var), self.columns(var)]));
+            [a, b].map(|var| (self.of(var).range(), [self.of(var).rows, self.of(var).columns]));
         let columns = if transposed { b_size[0] } else { b_size[1] };
         self.from(a, own.clone(), |store, values, _, d_y, d_a| {
             let d_y = Matrix::new(d_y, a_size[0], columns);
@@ -221,7 +220,7 @@ impl Tape {
         [lists, pass, heads]: [usize; 3],
         own: Range<usize>,
     ) {
-        let shape = AttentionShape { width: self.columns(inputs[0]), heads };
+        let shape = AttentionShape { width: self.of(inputs[0]).columns, heads };
         let ranges = inputs.map(|var| self.of(var).range());
         self.descend_into(inputs, 0, own, |tape, d_output, [d_queries, d_entities], _| {
             let [queries, entities] = ranges.map(|range| &tape.values[range]);
@@ -245,7 +244,7 @@ impl Tape {
         sums: Sums,
         own: Range<usize>,
     ) {
-        let shape = AttentionShape { width: self.columns(inputs[0]), heads };
+        let shape = AttentionShape { width: self.of(inputs[0]).columns, heads };
         let ranges = inputs.map(|var| self.of(var).range());
         self.descend_into(inputs, 0, own, |tape, d_sums, [d_queries, d_keys, d_rows], _| {
             let teams = &tape.teams.things[lists];

@@ -33,7 +33,6 @@ mod groups;
 mod layers;
 mod matrices;
 mod parameters;
-mod slopes;
 mod steps;
 
 use std::fmt;
@@ -85,22 +84,22 @@ struct Pool<T> {
 }
 
 impl<T: Default> Pool<T> {
-    fn next(&mut self) -> (u32, &mut T) {
+    fn next(&mut self) -> (usize, &mut T) {
         if self.used == self.things.len() {
             self.things.push(T::default());
         }
         self.used += 1;
-        (self.used as u32 - 1, &mut self.things[self.used - 1])
+        (self.used - 1, &mut self.things[self.used - 1])
     }
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Node {
     operation: Operation,
-    rows: u32,
-    columns: u32,
+    rows: usize,
+    columns: usize,
     /// Where its numbers begin.
-    at: u32,
+    at: usize,
     /// The node whose memory it shares; itself if it has its own.
     base: u32,
     /// Whether a loss can depend on parameters, or on leaves, through it.
@@ -111,8 +110,7 @@ struct Node {
 
 impl Node {
     fn range(&self) -> Range<usize> {
-        let at = self.at as usize;
-        at..at + (self.rows * self.columns) as usize
+        self.at..self.at + self.rows * self.columns
     }
 }
 
@@ -162,9 +160,9 @@ impl Tape {
         let index = self.nodes.len() as u32;
         self.nodes.push(Node {
             operation,
-            rows: rows as u32,
-            columns: columns as u32,
-            at: at as u32,
+            rows,
+            columns,
+            at,
             base: base.unwrap_or(index),
             needs_slopes,
             has_slopes: false,
@@ -176,23 +174,11 @@ impl Tape {
         self.nodes[var.0 as usize]
     }
 
-    fn rows(&self, var: Var) -> usize {
-        self.of(var).rows as usize
-    }
-
-    fn columns(&self, var: Var) -> usize {
-        self.of(var).columns as usize
-    }
-
-    fn needs(&self, var: Var) -> bool {
-        self.of(var).needs_slopes
-    }
-
-    /// All values before those of a node, and its own.
-    fn split(&mut self, var: Var) -> (&[f32], &mut [f32]) {
-        let range = self.of(var).range();
-        let (before, rest) = self.values.split_at_mut(range.start);
-        (before, &mut rest[..range.len()])
+    /// The values of nodes, and those of one behind them, to be written.
+    fn split<const N: usize>(&mut self, inputs: [Var; N], y: Var) -> ([&[f32]; N], &mut [f32]) {
+        let (ranges, out) = (inputs.map(|x| self.of(x).range()), self.of(y).range());
+        let (before, rest) = self.values.split_at_mut(out.start);
+        (ranges.map(|range| &before[range]), &mut rest[..out.len()])
     }
 
     /// Where the slopes by an input are to go and how, if anybody needs them.
@@ -216,16 +202,16 @@ impl Tape {
     }
 
     /// A copy of these lists for the way back; its place in the pool.
-    fn keep_lists(&mut self, lists: &VisibleLists) -> u32 {
+    fn keep_lists(&mut self, lists: &VisibleLists) -> usize {
         let (place, kept) = self.lists.next();
         kept.copy_from(lists);
         place
     }
 
-    fn store_indices(&mut self, indices: impl IntoIterator<Item = u32>) -> (u32, u32) {
-        let start = self.indices.len() as u32;
+    fn store_indices(&mut self, indices: impl IntoIterator<Item = u32>) -> Indices {
+        let start = self.indices.len();
         self.indices.extend(indices);
-        (start, self.indices.len() as u32)
+        (start, self.indices.len())
     }
 }
 
@@ -251,169 +237,89 @@ impl Pass<'_> {
 
     /// Rows and columns of a matrix.
     pub fn size(&self, var: Var) -> [usize; 2] {
-        [self.tape.rows(var), self.tape.columns(var)]
+        let Node { rows, columns, .. } = self.tape.of(var);
+        [rows, columns]
     }
 }
 
 /// A part of the tape's indices.
-type Indices = (u32, u32);
+type Indices = (usize, usize);
 
+/// What queries get of what they see.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Attended {
+    /// The values of everything.
+    Whole,
+    /// Those of everything, of what lies within their part and of what lies across.
+    Parts,
+    /// The squares of all scores.
+    Scores,
+}
+
+/// What a node was computed by, of which nodes; all others are places in the tape's memory.
 #[derive(Clone, Copy, Debug)]
 enum Operation {
     /// Given from outside, or the memory of another step seen otherwise.
     Given,
-    Linear {
-        x: Var,
-        layer: Linear,
-        rectified: bool,
-    },
+    /// `x W' + b`, rectified or not.
+    Linear { x: Var, layer: Linear, rectified: bool },
     /// Two products and the offsets of the first layer, rectified.
-    LinearSum {
-        x: [Var; 2],
-        layers: [Linear; 2],
-    },
-    /// `rows` is the place of the features in their pool.
-    SparseLinear {
-        rows: u32,
-        layer: Linear,
-        rectified: bool,
-    },
-    Activate {
-        x: Var,
-        activation: Activation,
-    },
-    Softmax {
-        x: Var,
-    },
-    LogSoftmax {
-        x: Var,
-    },
-    /// Of queries, and of keys and values. `weights` is where the attention weights begin in the arena, behind which the
-    /// shares of the parts stand if there are any.
-    Attend {
-        inputs: [Var; 2],
-        lists: u32,
-        weights: u32,
-        shape: AttentionShape,
-        parts: bool,
-    },
-    /// Of the same; `scores` is where they begin in the arena.
-    SquaredScores {
-        inputs: [Var; 2],
-        lists: u32,
-        scores: u32,
-        shape: AttentionShape,
-    },
-    /// `carry` is where it begins in the tape's.
-    Recur {
-        x: Var,
-        pass: u32,
-        carry: u32,
-        slots: u32,
-        layer: Gru,
-    },
-    Unfold {
-        x: Var,
-        shape: UnfoldShape,
-    },
+    LinearSum { x: [Var; 2], layers: [Linear; 2] },
+    /// A first layer; `rows` is the place of the features in their pool.
+    SparseLinear { rows: usize, layer: Linear, rectified: bool },
+    /// A function of every number.
+    Activate { x: Var, activation: Activation },
+    /// Of every row.
+    Softmax { x: Var },
+    /// The logarithm of that.
+    LogSoftmax { x: Var },
+    /// Of queries, and of keys and values. `kept` is where what is known of pairs begins in the arena, behind which the shares
+    /// of parts stand if there are any.
+    Attend { inputs: [Var; 2], lists: usize, kept: usize, shape: AttentionShape, to: Attended },
+    /// A recurrent unit through time; `carry` is where it begins in the tape's.
+    Recur { x: Var, pass: usize, carry: usize, slots: usize, layer: Gru },
+    /// The patches of pictures.
+    Unfold { x: Var, shape: UnfoldShape },
     /// Row i is row `indices[i]` of `x`.
-    Gather {
-        x: Var,
-        indices: Indices,
-    },
+    Gather { x: Var, indices: Indices },
     /// Row `indices[i]` gets row i of `x` added.
-    Scatter {
-        x: Var,
-        indices: Indices,
-    },
+    Scatter { x: Var, indices: Indices },
     /// Row i is the one number in column `indices[i]`.
-    Pick {
-        x: Var,
-        indices: Indices,
-    },
-    Columns {
-        x: Var,
-        first: u32,
-    },
+    Pick { x: Var, indices: Indices },
+    /// Some columns behind each other.
+    Columns { x: Var, first: usize },
     /// Columns of several; the indices are their numbers.
-    Concat {
-        parts: Indices,
-    },
+    Concat { parts: Indices },
     /// One number for each row.
-    SumColumns {
-        x: Var,
-    },
-    Scale {
-        x: Var,
-        factor: f32,
-    },
-    Add {
-        a: Var,
-        b: Var,
-    },
-    Multiply {
-        a: Var,
-        b: Var,
-    },
+    SumColumns { x: Var },
+    /// `factor x`, whatever was added.
+    Scale { x: Var, factor: f32 },
+    /// `a + b`, to every block of as many rows as `b` has.
+    Add { a: Var, b: Var },
+    /// `a b`, number by number.
+    Multiply { a: Var, b: Var },
     /// Every row times its number.
-    ScaleRows {
-        x: Var,
-        by: Var,
-    },
+    ScaleRows { x: Var, by: Var },
     /// `value + advantage - mean of the row's advantages`.
-    Dueling {
-        value: Var,
-        advantages: Var,
-    },
-    SquaredError {
-        x: Var,
-        target: Var,
-        factor: f32,
-    },
-    Huber {
-        x: Var,
-        target: Var,
-        factor: f32,
-        bound: f32,
-    },
+    Dueling { value: Var, advantages: Var },
+    /// `factor` times the sum of squared distances.
+    SquaredError { x: Var, target: Var, factor: f32 },
+    /// The same of Huber's losses.
+    Huber { x: Var, target: Var, factor: f32, bound: f32 },
     /// Row i belongs to group `indices[i]`.
-    SoftmaxGroups {
-        x: Var,
-        indices: Indices,
-        groups: u32,
-    },
+    SoftmaxGroups { x: Var, indices: Indices, groups: usize },
     /// A matrix of parameters; where it begins.
-    Parameter {
-        start: u32,
-    },
+    Parameter { start: usize },
     /// `a b`, or `a b'`.
-    Product {
-        a: Var,
-        b: Var,
-        transposed: bool,
-    },
-    Absolute {
-        x: Var,
-    },
-    NormaliseRows {
-        x: Var,
-    },
+    Product { a: Var, b: Var, transposed: bool },
+    /// Of every number.
+    Absolute { x: Var },
+    /// Rows whose squares have the mean 1.
+    NormaliseRows { x: Var },
     /// Of queries and entities, with the matrix of keys and values.
-    Absorb {
-        inputs: [Var; 2],
-        keys_values: Linear,
-        lists: u32,
-        pass: u32,
-        heads: u32,
-    },
+    Absorb { inputs: [Var; 2], keys_values: Linear, lists: usize, pass: usize, heads: usize },
     /// Of queries, keys and rows. `weights` is where the attention weights begin in the arena.
-    AttendInTeams {
-        inputs: [Var; 3],
-        lists: u32,
-        weights: u32,
-        heads: u32,
-        sums: Sums,
-    },
+    AttendInTeams { inputs: [Var; 3], lists: usize, weights: usize, heads: usize, sums: Sums },
 }
 
 #[cfg(test)]

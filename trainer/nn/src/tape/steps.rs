@@ -22,7 +22,7 @@ impl Pass<'_> {
         let rows = numbers.len() / columns;
         assert_eq!(rows * columns, numbers.len(), "whole rows");
         let y = self.tape.push(Operation::Given, rows, columns, needs_slopes);
-        self.tape.split(y).1.copy_from_slice(numbers);
+        self.tape.split([], y).1.copy_from_slice(numbers);
         y
     }
 
@@ -30,9 +30,8 @@ impl Pass<'_> {
     pub fn detach(&mut self, x: Var) -> Var {
         let [rows, columns] = self.size(x);
         let y = self.tape.push(Operation::Given, rows, columns, false);
-        let range = self.tape.of(x).range();
-        let (before, out) = self.tape.split(y);
-        out.copy_from_slice(&before[range]);
+        let ([x], out) = self.tape.split([x], y);
+        out.copy_from_slice(x);
         y
     }
 
@@ -52,8 +51,7 @@ impl Pass<'_> {
 
     fn share(&mut self, x: Var, offset: usize, size: [usize; 2]) -> Var {
         let node = self.tape.of(x);
-        let at = node.at as usize + offset;
-        self.tape.node(Operation::Given, size, at, Some(node.base), node.needs_slopes)
+        self.tape.node(Operation::Given, size, node.at + offset, Some(node.base), node.needs_slopes)
     }
 
     /// A step from one matrix.
@@ -82,25 +80,19 @@ impl Pass<'_> {
     pub(super) fn keep<const N: usize>(
         &mut self,
         numbers: usize,
-        operation: impl FnOnce(u32) -> Operation,
+        operation: impl FnOnce(usize) -> Operation,
         inputs: [Var; N],
         [rows, columns]: [usize; 2],
         compute: impl FnOnce([&[f32]; N], &mut [f32], &mut [f32]),
     ) -> Var {
-        let needs = inputs.iter().any(|x| self.tape.needs(*x));
+        let needs = inputs.iter().any(|x| self.tape.of(*x).needs_slopes);
         let start = self.tape.reserve(numbers);
-        let y = self.tape.push(operation(start as u32), rows, columns, needs);
+        let y = self.tape.push(operation(start), rows, columns, needs);
         let (ranges, out) = (inputs.map(|x| self.tape.of(x).range()), self.tape.of(y).range());
         let (before, rest) = self.tape.values.split_at_mut(start);
         let (kept, rest) = rest.split_at_mut(numbers);
         compute(ranges.map(|range| &before[range]), kept, &mut rest[..out.len()]);
         y
-    }
-
-    /// The size of two matrices that have the same.
-    fn common_size(&self, a: Var, b: Var) -> [usize; 2] {
-        assert_eq!(self.size(a), self.size(b), "sizes");
-        self.size(a)
     }
 
     /// `max(0, x)`
@@ -170,7 +162,8 @@ impl Pass<'_> {
 
     /// `a b`, number by number.
     pub fn multiply(&mut self, a: Var, b: Var) -> Var {
-        let size = self.common_size(a, b);
+        let size = self.size(a);
+        assert_eq!(size, self.size(b), "sizes");
         self.join(Operation::Multiply { a, b }, [a, b], size, |a, b, y| {
             elementwise::multiply(a, b, Store::Replace, y);
         })
@@ -253,35 +246,20 @@ impl Pass<'_> {
         })
     }
 
-    /// The sum of every so many rows.
-    pub fn sum_groups(&mut self, x: Var, size: usize) -> Var {
-        let [rows, columns] = self.size(x);
-        assert_eq!(rows % size, 0, "whole groups");
-        let indices = self.tape.store_indices((0..rows).map(|row| (row / size) as u32));
-        self.step(Operation::Scatter { x, indices }, x, [rows / size, columns], |x, y| {
-            y.fill(0.0);
-            for (y, x) in y.chunks_exact_mut(columns).zip(x.chunks_exact(size * columns)) {
-                x.chunks_exact(columns).for_each(|x| elementwise::scale(1.0, x, Store::Add, y));
-            }
-        })
-    }
-
-    /// The mean of every so many rows.
-    pub fn mean_groups(&mut self, x: Var, size: usize) -> Var {
-        let sum = self.sum_groups(x, size);
-        self.scale(sum, 1.0 / size as f32)
-    }
-
     /// The sum of all rows.
     pub fn sum_rows(&mut self, x: Var) -> Var {
-        let rows = self.size(x)[0];
-        self.sum_groups(x, rows)
+        let [rows, columns] = self.size(x);
+        let indices = self.tape.store_indices(std::iter::repeat_n(0, rows));
+        self.step(Operation::Scatter { x, indices }, x, [1, columns], |x, y| {
+            y.fill(0.0);
+            x.chunks_exact(columns).for_each(|x| elementwise::scale(1.0, x, Store::Add, y));
+        })
     }
 
     /// The mean of all rows.
     pub fn mean_rows(&mut self, x: Var) -> Var {
-        let rows = self.size(x)[0];
-        self.mean_groups(x, rows)
+        let sum = self.sum_rows(x);
+        self.scale(sum, 1.0 / self.size(x)[0] as f32)
     }
 
     /// The sum of every row.
@@ -309,7 +287,7 @@ impl Pass<'_> {
     /// Some columns behind each other.
     pub fn columns(&mut self, x: Var, columns: Range<usize>) -> Var {
         let [rows, width] = self.size(x);
-        let operation = Operation::Columns { x, first: columns.start as u32 };
+        let operation = Operation::Columns { x, first: columns.start };
         self.step(operation, x, [rows, columns.len()], |x, y| {
             for (y, x) in y.chunks_exact_mut(columns.len()).zip(x.chunks_exact(width)) {
                 y.copy_from_slice(&x[columns.clone()]);
@@ -332,32 +310,33 @@ impl Pass<'_> {
             return *whole;
         }
         let columns = parts.first().map_or(1, |part| self.size(*part)[1]);
-        let first = self.tape.indices.len() as u32;
+        let first = self.tape.indices.len();
         for part in parts {
             let [rows, width] = self.size(*part);
             assert_eq!(width, columns, "columns of every part");
             let row = self.reshape(*part, rows * width);
             self.tape.indices.push(row.0);
         }
-        let row = self.join_columns((first, first + parts.len() as u32));
+        let row = self.join_columns((first, first + parts.len()));
         self.reshape(row, columns)
     }
 
     /// The columns of the matrices whose numbers stand among the tape's indices.
     fn join_columns(&mut self, parts: Indices) -> Var {
-        let numbers = parts.0 as usize..parts.1 as usize;
+        let numbers = parts.0..parts.1;
         let part = |tape: &Tape, number: usize| Var(tape.indices[number]);
         let sizes = numbers.clone().map(|number| self.size(part(self.tape, number)));
         let (rows, width) = sizes.fold((0, 0), |sum, [rows, columns]| (rows, sum.1 + columns));
-        let needs = numbers.clone().any(|number| self.tape.needs(part(self.tape, number)));
+        let needs = |number| self.tape.of(part(self.tape, number)).needs_slopes;
+        let needs = numbers.clone().any(needs);
         let y = self.tape.push(Operation::Concat { parts }, rows, width, needs);
         let mut first = 0;
         for number in numbers {
             let part = part(self.tape, number);
-            let (range, [count, columns]) = (self.tape.of(part).range(), self.size(part));
+            let [count, columns] = self.size(part);
             assert_eq!(count, rows, "rows of every part");
-            let (before, out) = self.tape.split(y);
-            for (y, x) in out.chunks_exact_mut(width).zip(before[range].chunks_exact(columns)) {
+            let ([x], out) = self.tape.split([part], y);
+            for (y, x) in out.chunks_exact_mut(width).zip(x.chunks_exact(columns)) {
                 y[first..first + columns].copy_from_slice(x);
             }
             first += columns;

@@ -78,8 +78,6 @@ fn gradients_of_steps_without_parameters_agree_with_finite_differences() {
     check("columns", |t, x| t.columns(x, 1..3));
     check("rows", |t, x| t.rows(x, 2..5));
     check("reshape", |t, x| t.reshape(x, 8));
-    check("sums of groups", |t, x| t.sum_groups(x, 3));
-    check("means of groups", |t, x| t.mean_groups(x, 2));
     check("sum of rows", |t, x| t.sum_rows(x));
     check("mean of rows", |t, x| t.mean_rows(x));
     check("sums of columns", |t, x| t.sum_columns(x));

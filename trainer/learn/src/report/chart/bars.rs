@@ -4,13 +4,12 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 
 use super::{
-    Canvas, Drawn, FAINT_INK, GRID, INK, MARGIN, TITLE_HEIGHT, WIDTH, colour, fitting, picture,
-    text, text_width,
+    Canvas, Drawn, FAINT_INK, GRID, INK, LABEL_SIZE, MARGIN, TITLE_HEIGHT, WIDTH, colour, fitting,
+    picture, text, text_width,
 };
-use crate::error::LearnError;
+use crate::error::Result;
 use crate::report::{Comparison, Spread, TeamSummary};
 
-const LABEL_SIZE: i32 = 20;
 /// The widest name of a group at its usual size.
 const GROUP_ROOM: i32 = 400;
 /// Thickness of a bar and pixels between the groups.
@@ -56,7 +55,7 @@ pub fn ends<'a>(spreads: impl Iterator<Item = &'a Spread>) -> [f64; 2] {
 }
 
 /// Draws success by team, with the range of the seeds as a thin line; none where no label has a final evaluation.
-pub fn teams<'a>(title: &str, comparison: &'a Comparison) -> Result<Option<String>, LearnError> {
+pub fn teams<'a>(title: &str, comparison: &'a Comparison) -> Result<Option<String>> {
     if comparison.teams.is_empty() {
         return Ok(None);
     }
@@ -71,7 +70,7 @@ pub fn teams<'a>(title: &str, comparison: &'a Comparison) -> Result<Option<Strin
 }
 
 /// Draws a bar per group and label, with the range of the seeds as a thin line.
-pub fn draw_bars(title: &str, bars: &Bars<'_>) -> Result<String, LearnError> {
+pub fn draw_bars(title: &str, bars: &Bars<'_>) -> Result<String> {
     let has_bars = |label: usize| bars.bars.iter().any(|bar| bar.label == label);
     let labels = bars.labels.iter().copied().enumerate();
     let labels: Vec<(usize, &str)> = labels.filter(|(label, _)| has_bars(*label)).collect();

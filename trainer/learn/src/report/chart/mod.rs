@@ -5,7 +5,6 @@
 
 mod bars;
 mod curves;
-mod growth;
 
 use std::io;
 
@@ -15,10 +14,9 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 pub use bars::{Bar, Bars, draw_bars, ends, teams};
-pub use curves::curves;
-pub use growth::{Line, growth};
+pub use curves::{Line, curves, growth};
 
-use crate::error::LearnError;
+use crate::error::{LearnError, Result};
 
 /// Pixels of a picture; browsers and documents scale it.
 const WIDTH: u32 = 1200;
@@ -26,6 +24,9 @@ const WIDTH: u32 = 1200;
 const MARGIN: i32 = 28;
 /// Height of the strip with the title.
 const TITLE_HEIGHT: i32 = 76;
+
+/// Of labels.
+const LABEL_SIZE: i32 = 20;
 
 const INK: RGBColor = RGBColor(0x22, 0x22, 0x22);
 const FAINT_INK: RGBColor = RGBColor(0x60, 0x60, 0x60);
@@ -47,22 +48,16 @@ const DASHES: [Option<(u32, u32)>; 4] = [None, Some((18, 8)), Some((6, 6)), Some
 pub(crate) type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(crate) type Drawn = Result<(), DrawingAreaErrorKind<io::Error>>;
 
-/// The colour of the label at a place of the order.
 fn colour(index: usize) -> RGBColor {
     COLOURS[index % COLOURS.len()]
 }
 
-/// The dash of the label at a place of the order.
 fn dash(index: usize) -> Option<(u32, u32)> {
     DASHES[index % DASHES.len()]
 }
 
 /// Draws on a white canvas with a title.
-fn picture(
-    height: u32,
-    title: &str,
-    draw: impl FnOnce(&Canvas<'_>) -> Drawn,
-) -> Result<String, LearnError> {
+fn picture(height: u32, title: &str, draw: impl FnOnce(&Canvas<'_>) -> Drawn) -> Result<String> {
     let picture = svg((WIDTH, height), |canvas| {
         let size = fitting(title, 28, WIDTH as i32 - 2 * MARGIN);
         text(canvas, title, (MARGIN, TITLE_HEIGHT / 2), size, INK, HPos::Left)?;

@@ -3,6 +3,7 @@
 use sortie_methods::alma::agents::{UtilityInput, UtilityLayers};
 use sortie_nn::layers::attention::{self, AttentionShape};
 use sortie_nn::layers::linear::{self, LinearShape};
+use sortie_nn::layers::matrix::Store;
 use sortie_nn::layers::{SparseRows, VisibleLists};
 use sortie_nn::tape::Tape;
 
@@ -66,13 +67,19 @@ fn attention_layer_agrees() {
         };
         let mut queries = vec![0.0; samples * agents * width];
         let square = LinearShape { input: width, output: width };
-        linear::forward_without_bias(square, &rows[..queries.len()], &weight_q, &mut queries);
+        linear::product(square, Store::Replace, &rows[..queries.len()], &weight_q, &mut queries);
         let mut keys_values = vec![0.0; samples * count * 2 * width];
         let double = LinearShape { input: width, output: 2 * width };
-        linear::forward_without_bias(double, &rows, &weight_kv, &mut keys_values);
-        let mut weights = vec![0.0; visible.pairs() * 4];
+        linear::product(double, Store::Replace, &rows, &weight_kv, &mut keys_values);
         let mut attended = vec![0.0; queries.len()];
-        attention::forward(shape, &visible, &queries, &keys_values, &mut weights, &mut attended);
+        let pass = attention::Forward {
+            queries: &queries,
+            keys_values: &keys_values,
+            of_pairs: &mut vec![0.0; visible.pairs() * 4],
+            shares: &mut [],
+            output: &mut attended,
+        };
+        attention::forward(shape, &visible, pass);
 
         let want = case.get("out/out");
         let output = want.shape[2];

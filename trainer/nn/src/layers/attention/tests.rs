@@ -25,7 +25,9 @@ fn lists() -> VisibleLists {
 fn run(shape: AttentionShape, queries: &[f32], keys_values: &[f32]) -> (Vec<f32>, Vec<f32>) {
     let mut weights = vec![f32::NAN; lists().pairs() * shape.heads];
     let mut output = vec![f32::NAN; QUERIES * shape.width];
-    forward(shape, &lists(), queries, keys_values, &mut weights, &mut output);
+    let (of_pairs, shares, output_here) = (&mut *weights, &mut [][..], &mut *output);
+    let pass = Forward { queries, keys_values, of_pairs, shares, output: output_here };
+    forward(shape, &lists(), pass);
     (weights, output)
 }
 
@@ -66,6 +68,8 @@ fn gradients_agree_with_finite_differences() {
             queries: &queries,
             keys_values: &keys_values,
             of_pairs: &weights,
+            shares: &[],
+            output: &[],
             d_output: &d_output,
             d_scores: &mut vec![0.0; ROWS * shape.heads],
             d_queries: &mut d_queries,
