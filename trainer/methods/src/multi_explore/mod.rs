@@ -7,19 +7,18 @@ mod method;
 use sortie_envs::{Random, Spec};
 use sortie_learn::configuration::Range::{self, Number, OneOf, Truth, Whole};
 use sortie_learn::configuration::SHARE;
-use sortie_learn::{sections, words};
+use sortie_learn::sections;
+use sortie_nn::optimise::AdamRules;
 use toml::Table;
 
-use sortie_nn::optimise::AdamRules;
-
-use crate::actor_critic::rules::Rules;
+use crate::actor_critic::Rules;
 use crate::novelty::{Columns, Intrinsic, Types};
 
 pub use crate::actor_critic::critic::Batch;
 pub use crate::actor_critic::groups::{Draw, Group, Groups, Rows};
 pub use crate::actor_critic::learner::ActorCritic;
 pub use crate::actor_critic::policies::{Policies, PolicyShape};
-pub use crate::actor_critic::rules::{OwnActions, PolicyValues};
+pub use crate::actor_critic::{OwnActions, PolicyValues};
 pub use critic::{HeadCritic, HeadCriticShape};
 pub use meta::{MetaPolicy, Moments};
 pub use method::MultiExplore;
@@ -36,7 +35,7 @@ sections! {
 
     above "What is learned." {
         /// Networks, as published, which tells this file from those of the preset `fast`.
-        learner: Learner = Learner::Networks, OneOf(Learner::WORDS);
+        learner: String = "networks".to_owned(), OneOf(&["networks"]);
     }
 
     /// What is explored for: policies and values for each type of intrinsic reward.
@@ -115,14 +114,6 @@ sections! {
         decay: f64 = 0.001, SHARE;
         /// What the entropy of the choice counts beside returns: the inverse of their scale.
         entropy: f64 = 0.2, ANY, "return";
-    }
-}
-
-words! {
-    /// What this preset learns.
-    Learner {
-        /// Networks, as published.
-        Networks = "networks",
     }
 }
 

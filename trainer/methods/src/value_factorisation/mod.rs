@@ -144,45 +144,20 @@ words! {
 impl Config {
     /// The preset `paper` of A-QMIX: the dissertation's, as its chapter 5 learns Group Matching.
     pub fn paper() -> Self {
-        Self {
-            network: NetworkConfig {
-                width: 64,
-                active_inputs: 0,
-                skip: false,
-                memory: 0,
-                head: AimedHead::Pointing,
-            },
-            mixer: MixerConfig {
-                kind: MixerKind::Linear,
-                hypernetworks: Hypernetworks::Separate,
-                mixing: 32,
-                weights_sum: WeightsSum::One,
-            },
-            imagination: ImaginationConfig { partitions: Partitions::None, share: 0.5 },
-            returns: ReturnsConfig { steps: 1, discount: 0.99, scale: 1.0 },
-            replay: ReplayConfig {
-                unit: Unit::Episodes,
-                capacity: 2_000,
-                batch: 32,
-                steps_per_update: 0,
-                symmetries: false,
-            },
-            exploration: ExplorationConfig {
-                steps: 5_000,
-                spread: vec![1.0],
-                ..ExplorationConfig::default()
-            },
-            optimiser: OptimiserConfig {
-                learning_rate: 5e-4,
-                learning_rate_end: 5e-4,
-                decay_from: 1.0,
-                clip: 10.0,
-                target_rate: 1.0,
-                average_rate: 1.0,
-                ..OptimiserConfig::default()
-            },
-            update: UpdateConfig { rule: Rule::RmsProp, target_every: 200 },
-        }
+        let mut paper = Self::default();
+        let Self { network, mixer, returns, replay, exploration, optimiser, update, .. } =
+            &mut paper;
+        (network.width, network.active_inputs, network.skip) = (64, 0, false);
+        mixer.hypernetworks = Hypernetworks::Separate;
+        (returns.steps, returns.discount) = (1, 0.99);
+        (replay.unit, replay.capacity, replay.batch) = (Unit::Episodes, 2_000, 32);
+        (replay.steps_per_update, replay.symmetries) = (0, false);
+        exploration.spread = vec![1.0];
+        (optimiser.learning_rate, optimiser.learning_rate_end) = (5e-4, 5e-4);
+        (optimiser.decay_from, optimiser.clip) = (1.0, 10.0);
+        (optimiser.target_rate, optimiser.average_rate) = (1.0, 1.0);
+        (update.rule, update.target_every) = (Rule::RmsProp, 200);
+        paper
     }
 
     /// The preset `fast` where actions are aimed at entities, as in battles.

@@ -7,8 +7,7 @@ use sortie_learn::run::EpisodeCounts;
 use sortie_methods::learners::windows::allocation::AllocationLevel;
 use sortie_methods::learners::windows::low_level::LowLevel;
 use sortie_methods::learners::windows::{
-    Config, Replay, SampleShape, Shaping, WindowLearner, WindowShape, Windows, cut_windows,
-    draw_episodes,
+    Config, Replay, SampleShape, WindowLearner, WindowShape, Windows, cut_windows, draw_episodes,
 };
 use sortie_nn::random::Generator;
 
@@ -75,7 +74,7 @@ impl Levels {
         let sample = SampleShape {
             windows: config.learning.windows,
             steps: config.learning.steps,
-            shaping: Shaping::default(),
+            ..SampleShape::default()
         };
         let replay = fill(&config, seed, sample.windows)?;
         let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)

@@ -17,7 +17,7 @@ pub(super) struct Lesson {
     pub(super) taken: Group,
     /// `[situations]`: what these are worth.
     pub(super) targets: Vec<f32>,
-    random: Random,
+    pub(super) random: Random,
 }
 
 /// Who is asked about an episode.
@@ -34,11 +34,6 @@ impl Lesson {
     pub(super) fn new(environment: &dyn Environment, random: Random) -> Self {
         let (best, taken) = (Group::default(), Group::default());
         Self { proposer: Proposer::new(environment), best, taken, targets: Vec::new(), random }
-    }
-
-    /// Where its numbers come from, for checkpoints.
-    pub(super) fn random(&mut self) -> &mut Random {
-        &mut self.random
     }
 
     /// Looks at an episode, of whose steps the allocations were noted.
@@ -90,17 +85,10 @@ impl Lesson {
     /// `[steps]`: what is earned after each step.
     fn ahead(&mut self, teachers: Teachers<'_>, best: &[Best], rewards: &[f32]) -> Vec<f32> {
         if teachers.learns == CriticTarget::Return {
-            let mut sum = 0.0;
-            let mut ahead: Vec<f32> = rewards
-                .iter()
-                .rev()
-                .map(|reward| {
-                    let behind = sum;
-                    sum += reward;
-                    behind
-                })
-                .collect();
-            ahead.reverse();
+            let mut ahead = vec![0.0; rewards.len()];
+            for step in (1..rewards.len()).rev() {
+                ahead[step - 1] = ahead[step] + rewards[step];
+            }
             return ahead;
         }
         self.proposer.forget();

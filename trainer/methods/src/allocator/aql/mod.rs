@@ -19,7 +19,7 @@ use sortie_learn::session::Setup;
 use sortie_learn::subtasks::PROPOSALS;
 use sortie_learn::{sections, words};
 
-use super::{NETWORK, NetworkConfig};
+use super::{NETWORK, NetworkConfig, optimiser};
 
 pub(super) use method::Aql;
 
@@ -29,7 +29,7 @@ sections! {
 
     above "What learns." {
         /// Proposals and a critic, which tells this file from those of the preset `fast`.
-        learner: Learner = Learner::Aql, OneOf(Learner::WORDS);
+        learner: String = "aql".to_owned(), OneOf(&["aql"]);
     }
 
     /// Encoder and decoder, of what proposes and of the critic.
@@ -70,22 +70,7 @@ sections! {
     }, EXPLORATION;
 
     /// How the weights of both networks follow the gradient.
-    optimiser: OptimiserConfig = OptimiserConfig {
-        learning_rate: 1e-3,
-        learning_rate_end: 3e-5,
-        decay_from: 0.3,
-        clip: 1.0,
-        average_rate: 0.01,
-        ..OptimiserConfig::default()
-    }, OPTIMISER;
-}
-
-words! {
-    /// What learns.
-    Learner {
-        /// Amortised Q-learning.
-        Aql = "aql",
-    }
+    optimiser: OptimiserConfig = optimiser(), OPTIMISER;
 }
 
 words! {

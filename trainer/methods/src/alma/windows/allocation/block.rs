@@ -6,9 +6,7 @@ use std::ops::Range;
 
 use sortie_nn::layers::{SparseRows, VisibleLists};
 
-use super::AllocationShape;
-use super::rows::COUNT_SCALE;
-use super::rows::States;
+use super::rows::{COUNT_SCALE, Shown, States};
 use crate::alma::windows::NO_TASK;
 
 /// Nothing stands here.
@@ -49,13 +47,9 @@ pub(super) struct Block {
 }
 
 impl Block {
-    /// Lists the rows of some states; `columns [T]` are the task columns.
-    pub(super) fn of(
-        shape: AllocationShape,
-        states: &States,
-        range: Range<usize>,
-        columns: &[u8],
-    ) -> Self {
+    /// Lists the rows of some states.
+    pub(super) fn of(shown: Shown<'_>, range: Range<usize>) -> Self {
+        let states = shown.states;
         let mut block = Self {
             states: range.clone(),
             agents: states.agents,
@@ -65,38 +59,32 @@ impl Block {
             ..Self::default()
         };
         range.clone().for_each(|state| block.list_agents(states, state));
-        block.push_agents(shape, states, columns);
-        range.for_each(|state| block.list_others(shape, states, state, columns));
+        block.push_agents(shown);
+        range.for_each(|state| block.list_others(shown, state));
         block
     }
 
     /// Adds the rows of all agents that are allocated, the last ones of their states behind all others.
-    fn push_agents(&mut self, shape: AllocationShape, states: &States, columns: &[u8]) {
+    fn push_agents(&mut self, shown: Shown<'_>) {
         for local in 0..self.len() {
             let followed = 0..self.levels[local].saturating_sub(1);
-            followed.for_each(|level| self.push_agent(shape, states, (local, level), columns));
+            followed.for_each(|level| self.push_agent(shown, local, level));
         }
         self.followed = self.rows.len();
         for local in 0..self.len() {
             if let Some(last) = self.levels[local].checked_sub(1) {
-                self.push_agent(shape, states, (local, last), columns);
+                self.push_agent(shown, local, last);
             }
         }
         self.agent_count = self.rows.len();
     }
 
-    fn push_agent(
-        &mut self,
-        shape: AllocationShape,
-        states: &States,
-        (local, level): (usize, usize),
-        columns: &[u8],
-    ) {
+    fn push_agent(&mut self, shown: Shown<'_>, local: usize, level: usize) {
         let index = local * self.agents + level;
         let (state, agent) = (self.states.start + local, usize::from(self.slots[index]));
         self.agent_rows[index] = self.rows.len() as u32;
-        let task = states.last_allocation(state)[agent];
-        self.push_row(shape, states, (state, agent), columns.get(usize::from(task)));
+        shown.begin_row(state, agent, shown.states.last_allocation(state)[agent], &mut self.rows);
+        self.rows.end_row();
     }
 
     fn list_agents(&mut self, states: &States, state: usize) {
@@ -108,14 +96,8 @@ impl Block {
         self.slots.resize(start + self.agents, 0);
     }
 
-    fn list_others(
-        &mut self,
-        shape: AllocationShape,
-        states: &States,
-        state: usize,
-        columns: &[u8],
-    ) {
-        let start = self.open.len();
+    fn list_others(&mut self, shown: Shown<'_>, state: usize) {
+        let (states, start) = (shown.states, self.open.len());
         for (task, open) in (0..).zip(states.open(state)) {
             self.open.push(if *open { self.others.len() as u32 } else { NONE });
             if *open {
@@ -135,7 +117,8 @@ impl Block {
                 self.entity_open.push(number);
                 self.members[number as usize] += 1.0;
                 self.alone &= self.members[number as usize] < 2.0;
-                self.push_row(shape, states, (state, entity), columns.get(usize::from(task)));
+                shown.begin_row(state, entity, task, &mut self.rows);
+                self.rows.end_row();
             }
         }
         for entity in first..self.entity_open.len() {
@@ -144,20 +127,6 @@ impl Block {
             same.for_each(|row| self.same_task.push(row));
             self.same_task.end_list();
         }
-    }
-
-    fn push_row(
-        &mut self,
-        shape: AllocationShape,
-        states: &States,
-        (state, entity): (usize, usize),
-        column: Option<&u8>,
-    ) {
-        states.copy_features(state, entity, &mut self.rows);
-        if let Some(column) = column {
-            self.rows.push(shape.features + usize::from(*column), 1.0);
-        }
-        self.rows.end_row();
     }
 
     pub(super) fn open_count(&self) -> usize {

@@ -6,10 +6,8 @@
 
 use sortie_nn::layers::{SparseRows, VisibleLists};
 
-use super::AllocationShape;
 use super::block::NONE;
-use super::rows::COUNT_SCALE;
-use super::rows::{States, team_size};
+use super::rows::{COUNT_SCALE, Shown, States, team_size};
 use crate::alma::windows::NO_TASK;
 
 /// Allocations to be valued, with what their rows share.
@@ -54,15 +52,9 @@ impl CriticInput {
         self.known.resize(keys, NONE);
     }
 
-    /// Adds an allocation `[A]` of the state begun last; `columns [T]` are task columns.
-    pub(super) fn push(
-        &mut self,
-        shape: AllocationShape,
-        states: &States,
-        state: usize,
-        allocation: &[u8],
-        columns: &[u8],
-    ) {
+    /// Adds an allocation `[A]` of the state begun last.
+    pub(super) fn push(&mut self, shown: Shown<'_>, state: usize, allocation: &[u8]) {
+        let states = shown.states;
         let present = states.present(state);
         let task_of = |entity: usize| match allocation.get(entity) {
             Some(task) => *task,
@@ -81,10 +73,12 @@ impl CriticInput {
                 if is_agent {
                     self.agent_rows.push(self.known[key]);
                 }
-                states.copy_features(state, entity, &mut self.rows);
-                if let Some(column) = columns.get(usize::from(task)) {
-                    let others = states.others(state, task);
-                    self.push_task(shape, usize::from(*column), size, others);
+                if shown.begin_row(state, entity, task, &mut self.rows) {
+                    let first = shown.shape.features + shown.shape.columns;
+                    let counts = [size, states.others(state, task), 1];
+                    for (place, count) in counts.into_iter().enumerate().filter(|it| it.1 > 0) {
+                        self.rows.push(first + place, COUNT_SCALE * count as f32);
+                    }
                 }
                 self.rows.end_row();
             }
@@ -100,15 +94,5 @@ impl CriticInput {
             }
         }
         self.allocations += 1;
-    }
-
-    fn push_task(&mut self, shape: AllocationShape, column: usize, agents: usize, others: usize) {
-        self.rows.push(shape.features + column, 1.0);
-        let counts = shape.features + shape.columns;
-        for (place, count) in [agents, others, 1].into_iter().enumerate() {
-            if count > 0 {
-                self.rows.push(counts + place, COUNT_SCALE * count as f32);
-            }
-        }
     }
 }

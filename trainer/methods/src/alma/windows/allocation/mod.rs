@@ -6,7 +6,6 @@
 mod block;
 mod critic;
 mod decide;
-mod lane;
 mod level;
 mod networks;
 mod proposals;
@@ -22,7 +21,7 @@ use decide::shuffled;
 
 pub(super) use rows::COUNT_SCALE;
 
-pub use decide::{AllocationNetworks, Decided, Decider, Proposed, TaskColumns};
+pub use decide::{AllocationNetworks, Decided, Decider, TaskColumns};
 pub use level::{AllocationLevel, AllocationReport, LastStep};
 pub use networks::{AllocationCritic, AllocationPolicy};
 pub use proposals::Noise;

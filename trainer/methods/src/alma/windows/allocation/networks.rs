@@ -3,13 +3,15 @@
 //! Features, task and counts of an entity meet in one sum, so they are rows of one embedding here. It is
 //! stored `[in, E]` because its inputs are sparse; all other matrices are `[out, in]`.
 
+use std::ops::Range;
+
 use sortie_nn::layers::linear::LinearShape;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Tape, Var};
 
 use super::AllocationShape;
 use super::critic::CriticInput;
-use super::rows::States;
+use super::rows::{Shown, States};
 use crate::alma::agents::stacked;
 use crate::alma::windows::popart::PopArt;
 
@@ -78,6 +80,11 @@ impl CriticLayers {
         let sums = t.scatter(seen, &input.allocation_of, input.allocations);
         let pooled = t.scale(sums, 1.0 / input.slots as f32);
         t.linear(pooled, self.value)
+    }
+
+    /// Where weight and bias of the head stand.
+    pub(super) fn head_range(self) -> Range<usize> {
+        self.head.weight..self.head.weight + 2
     }
 
     /// Values in normalised units.
@@ -162,10 +169,11 @@ impl AllocationCritic {
         allocations: impl Iterator<Item = (usize, impl AsRef<[u8]>)>,
     ) -> (Pass<'t>, Var) {
         input.clear();
+        let shown = Shown { shape: self.shape, states, columns };
         for (state, own) in allocations {
             input.begin_state(states);
             for allocation in own.as_ref().chunks_exact(states.agents) {
-                input.push(self.shape, states, state, allocation, columns);
+                input.push(shown, state, allocation);
             }
         }
         let mut t = tape.begin(&self.parameters.values);
@@ -191,11 +199,6 @@ impl AllocationCritic {
     pub fn head(&self) -> [f32; 2] {
         let head = self.layers.head.weight;
         [self.parameters.values[head], self.parameters.values[head + 1]]
-    }
-
-    /// Weight and bias of the PopArt head, to be changed.
-    pub(super) fn head_mut(&mut self) -> (&mut [f32], &mut [f32]) {
-        self.parameters.values[self.layers.head.weight..].split_at_mut(1)
     }
 }
 

@@ -4,6 +4,7 @@
 use sortie_envs::Observation;
 use sortie_nn::layers::SparseRows;
 
+use super::AllocationShape;
 use crate::alma::windows::{NO_TASK, WindowShape, Windows};
 
 /// What counts of agents and of other entities are multiplied by.
@@ -189,15 +190,35 @@ impl States {
         &self.last_allocation[state * self.agents..][..self.agents]
     }
 
-    /// Copies an entity's features into a row that is not closed yet.
-    pub(super) fn copy_features(&self, state: usize, entity: usize, to: &mut SparseRows) {
-        to.push_row(&self.features, state * self.entities + entity);
-    }
-
     /// Entities of a task that are no agents, present or not.
     pub(super) fn others(&self, state: usize, task: u8) -> usize {
         let others = &self.entity_task(state)[self.agents..];
         others.iter().filter(|of| **of == task).count()
+    }
+}
+
+/// States as a network is shown them.
+#[derive(Clone, Copy)]
+pub(super) struct Shown<'a> {
+    pub(super) shape: AllocationShape,
+    pub(super) states: &'a States,
+    /// `[T]`: the column of each subtask.
+    pub(super) columns: &'a [u8],
+}
+
+impl Shown<'_> {
+    /// Writes an entity's features, and marks that it belongs to a subtask; returns whether it belongs to one.
+    pub(super) fn begin_row(
+        self,
+        state: usize,
+        entity: usize,
+        task: u8,
+        rows: &mut SparseRows,
+    ) -> bool {
+        rows.push_row(&self.states.features, state * self.states.entities + entity);
+        let column = self.columns.get(usize::from(task));
+        column.inspect(|column| rows.push(self.shape.features + usize::from(**column), 1.0));
+        column.is_some()
     }
 }
 

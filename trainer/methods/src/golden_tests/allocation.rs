@@ -1,16 +1,17 @@
 //! The allocation networks and one step of their learner against the reference's.
 
-use sortie_learn::networks::Targets;
-use sortie_learn::random::{Purpose, generator};
-use sortie_methods::alma::windows::allocation::{
+use crate::alma::windows::allocation::{
     AllocationCritic, AllocationLearning, AllocationLevel, AllocationNetworks, AllocationPolicy,
     AllocationShape, Decider, Noise, RowRules, States, StepDraws, TaskColumns,
 };
-use sortie_methods::alma::windows::{Config, NO_TASK, PopArt, WindowShape, Windows};
+use crate::alma::windows::{Config, NO_TASK, PopArt, WindowShape, Windows};
+use sortie_learn::networks::Targets;
+use sortie_learn::random::{Purpose, generator};
 
+use super::assert_close;
 use super::coach::columns as rows_of;
+use super::files::{Case, Tensor, json_cases, safetensors_case};
 use super::windows::{task_of, windows};
-use crate::files::{Case, Tensor, assert_close, json_cases, safetensors_case};
 
 const HEADS: usize = 4;
 
