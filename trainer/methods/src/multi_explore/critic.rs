@@ -9,20 +9,9 @@ use sortie_nn::tape::{Linear, Parameters, Pass};
 use crate::actor_critic::critic::{Critic, Shown, Value, Values};
 use crate::actor_critic::groups::Groups;
 
-/// Sizes of a critic.
-#[derive(Clone, Debug, PartialEq)]
-pub struct HeadCriticShape {
-    /// Numbers of a state.
-    pub state: usize,
-    /// Width of its layers.
-    pub width: usize,
-    /// By heads: whether they are paid a reward of their own.
-    pub paid: Vec<bool>,
-}
-
 /// A critic's layers; agents are each a group of their own.
 #[derive(Clone, Debug)]
-pub struct HeadCritic {
+pub(super) struct HeadCritic {
     groups: Groups,
     encoder: Linear,
     /// By agents and heads: of the team's reward, and of the head's own.
@@ -37,19 +26,20 @@ struct Layers {
 }
 
 impl HeadCritic {
-    /// Draws the first weights.
-    pub fn new(
-        shape: &HeadCriticShape,
+    /// Draws the first weights of layers of such a width over so many numbers of a state; says which heads are paid a reward of
+    /// their own.
+    pub(super) fn new(
+        [state, width]: [usize; 2],
+        paid: &[bool],
         groups: &Groups,
         random: &mut Generator,
     ) -> (Self, Parameters) {
         let mut parameters = Parameters::default();
-        let width = shape.width;
-        let encoder = parameters.linear("encoder", shape.state, width, random);
+        let encoder = parameters.linear("encoder", state, width, random);
         let all: usize = groups.0.iter().map(|group| group.actions).sum();
         let mut valuers = Vec::new();
         for (agent, group) in groups.0.iter().enumerate() {
-            for (head, is_paid) in shape.paid.iter().enumerate() {
+            for (head, is_paid) in paid.iter().enumerate() {
                 let mut layers = |kind: &str| {
                     let name = |part: &str| format!("{kind}.{head}.{agent}.{part}");
                     let others = all - group.actions;

@@ -13,13 +13,13 @@ use toml::Table;
 
 use crate::actor_critic::Rules;
 use crate::novelty::{Columns, Intrinsic, Types};
+use critic::HeadCritic;
 
 pub use crate::actor_critic::critic::Batch;
 pub use crate::actor_critic::groups::{Draw, Group, Groups, Rows};
 pub use crate::actor_critic::learner::ActorCritic;
 pub use crate::actor_critic::policies::{Policies, PolicyShape};
 pub use crate::actor_critic::{OwnActions, PolicyValues};
-pub use critic::{HeadCritic, HeadCriticShape};
 pub use meta::{MetaPolicy, Moments};
 pub use method::MultiExplore;
 
@@ -139,11 +139,11 @@ impl Config {
         random: &mut Random,
     ) -> ActorCritic {
         let (network, heads) = (&self.network, self.heads());
-        let paid = heads.iter().map(Option::is_some).collect();
-        let critic = HeadCriticShape { state, width: network.critic_width, paid };
+        let paid: Vec<bool> = heads.iter().map(Option::is_some).collect();
         let widths = [network.base_width, network.head_width];
         let policies = PolicyShape { widths, heads: heads.len(), slope: 0.0 };
-        let (critic, weights) = HeadCritic::new(&critic, &groups, random);
+        let sizes = [state, network.critic_width];
+        let (critic, weights) = HeadCritic::new(sizes, &paid, &groups, random);
         let policies = Policies::new(policies, &groups, random);
         let critic = (Box::new(critic) as Box<_>, weights);
         ActorCritic::new(self.rules(), groups, critic, policies, false, threads)

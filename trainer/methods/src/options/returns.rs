@@ -9,7 +9,6 @@ use super::replay::{Note, Replay};
 pub(crate) struct ReturnRules {
     /// Steps before a value is looked up.
     pub(crate) steps: u8,
-    /// Discount per step.
     pub(crate) discount: f32,
     /// Whether actions that change nothing are worth nothing.
     pub(crate) no_operations: bool,

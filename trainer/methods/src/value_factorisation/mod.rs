@@ -2,16 +2,17 @@
 //!
 //! Agents share one network; a mixer makes the value of the team from the utilities of their chosen
 //! actions, so that both learn from the team's reward. REFIL learns besides from imagined utilities, for
-//! which each agent sees only its part of a random partition, or only the rest.
+//! which each agent sees only its part of a random partition, or only the rest: a partition says for each
+//! agent which entities are in its part (dissertation section 5.4).
 
 mod loss;
 mod method;
-mod partitions;
 mod presets;
 #[cfg(test)]
 mod tests;
 
-use sortie_envs::{Shape, Spec};
+use sortie_envs::random::{chance, unit};
+use sortie_envs::{EntitySet, Random, Shape, Spec};
 use sortie_learn::configuration::Range::{self, OneOf, Positive, Truth, Whole};
 use sortie_learn::configuration::{
     EXPLORATION, ExplorationConfig, OPTIMISER, OptimiserConfig, SHARE,
@@ -25,7 +26,6 @@ use sortie_nn::layers::split_attention::HEADS;
 
 pub use loss::{Lesson, Losses, NetworkShape, Networks};
 pub use method::ValueFactorisation;
-pub use partitions::Partitions;
 pub use presets::{QMIX, REFIL, VDN};
 
 const SIZE: i64 = 20_000_000;
@@ -138,6 +138,53 @@ words! {
         Steps = "steps",
         /// Whole episodes.
         Episodes = "episodes",
+    }
+}
+
+words! {
+    /// Where the partitions of imagined utilities come from.
+    Partitions {
+        /// Nothing is imagined (A-QMIX, VDN).
+        None = "none",
+        /// Drawn for every use of a state (REFIL): `p` uniform, then each entity with probability `p`.
+        Drawn = "drawn",
+        /// Who truly belongs together, as the environment knows (fixed oracle).
+        Companions = "companions",
+        /// Who truly belongs together and shares the drawn part (randomised oracle).
+        DrawnCompanions = "drawn-companions",
+    }
+}
+
+impl Partitions {
+    /// Whether anything is imagined.
+    pub fn imagines(self) -> bool {
+        self != Self::None
+    }
+
+    /// Whether it is about who truly belongs together.
+    pub fn needs_companions(self) -> bool {
+        matches!(self, Self::Companions | Self::DrawnCompanions)
+    }
+
+    /// Draws one part of so many entities, as bits, where the partition is one that is drawn.
+    pub fn draw(self, entities: usize, random: &mut Random) -> EntitySet {
+        if matches!(self, Self::None | Self::Companions) {
+            return 0;
+        }
+        let probability = unit(random);
+        (0..entities)
+            .fold(0, |part, entity| part | EntitySet::from(chance(random, probability)) << entity)
+    }
+
+    /// The entities in the part of one agent, given the drawn part and the agent's companions.
+    pub fn within(self, part: EntitySet, companions: EntitySet, agent: usize) -> EntitySet {
+        let drawn = if part >> agent & 1 == 1 { part } else { !part };
+        match self {
+            Self::None => EntitySet::MAX,
+            Self::Drawn => drawn,
+            Self::Companions => companions,
+            Self::DrawnCompanions => drawn & companions,
+        }
     }
 }
 

@@ -15,8 +15,7 @@ use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Trajectori
 use sortie_nn::lanes::in_lanes;
 
 use super::Config;
-use super::lesson::{Lesson, Teachers};
-use super::proposer::{Networks, Proposer};
+use super::proposer::{Lesson, Networks, Proposer, Teachers};
 use crate::allocator::deciding::{Asked, Seen};
 use crate::allocator::method::loss;
 use crate::allocator::network::{Critic, Network};

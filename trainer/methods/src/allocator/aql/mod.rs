@@ -6,7 +6,6 @@
 //! environment is asked for, so that what the step earns need not be learned; with `critic.target=return` it learns what
 //! the rest of the episode earned.
 
-mod lesson;
 mod method;
 mod proposer;
 #[cfg(test)]
@@ -93,7 +92,6 @@ words! {
     }
 }
 
-/// The preset `paper`.
 pub(super) fn paper() -> Setup {
     let run = RunConfig {
         steps: 200_000,

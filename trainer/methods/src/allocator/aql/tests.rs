@@ -7,8 +7,7 @@ use sortie_learn::{Method, Now};
 use sortie_nn::gradient_check::assert_gradient;
 use sortie_nn::tape::Tape;
 
-use super::lesson::{Lesson, Teachers};
-use super::proposer::{Proposer, Situation};
+use super::proposer::{Lesson, Proposer, Situation, Teachers};
 use super::*;
 use crate::allocator::ALLOCATOR;
 use crate::allocator::deciding::{Asked, Group, Seen};

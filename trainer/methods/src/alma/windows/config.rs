@@ -9,7 +9,6 @@ use sortie_learn::{LearnError, section, sections, words};
 use sortie_nn::schedule::linear;
 
 use super::WindowShape;
-use super::allocation::{AllocationLearning, AllocationShape, RowRules};
 use crate::alma::agents::{Conditioning, UtilityShape};
 use crate::alma::records::LEARNED;
 use crate::alma::records::config::{
@@ -250,30 +249,6 @@ impl Config {
     /// Who allocates, by name.
     pub fn measured_allocation(&self) -> &str {
         if self.low_level.conditioning.has_subtasks() { &self.allocation.by } else { "none" }
-    }
-
-    /// How the allocator learns in an environment of these sizes.
-    pub fn allocation_learning(&self, sizes: WindowShape) -> AllocationLearning {
-        let allocation = &self.allocation;
-        AllocationLearning {
-            shape: AllocationShape {
-                features: sizes.features,
-                columns: sizes.tasks + allocation.extra_tasks,
-                width: allocation.width,
-                heads: allocation.heads,
-            },
-            proposals: allocation.proposals,
-            rows: RowRules {
-                interval: allocation.interval as f32,
-                most: allocation.rows,
-                age_limit: allocation.oldest as f32,
-            },
-            discount: allocation.discount.into(),
-            entropy: allocation.entropy.into(),
-            learning_rate: self.low_level.learning_rate,
-            gradient_norm: self.low_level.clip,
-            as_public_code: false,
-        }
     }
 
     /// Has a coach tell agents without subtasks what to do: COPA.

@@ -17,7 +17,7 @@ use sortie_learn::{Act, Ask, LearnError, Method, Now, State, Transition};
 use sortie_nn::random::Generator;
 
 use super::WindowShape;
-use super::allocation::{AllocationLevel, AllocationNetworks};
+use super::allocation::{AllocationLearning, AllocationLevel, AllocationNetworks};
 use super::config::{Config, Exploration};
 use super::deciding::ProposalAllocator;
 use super::export::{ProposalGraphs, export_proposals};
@@ -72,7 +72,7 @@ impl WindowLearner {
         if config.coach.enabled {
             low_level.add_coach(&config.coach, &mut weights);
         }
-        let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
+        let learning = config.learns_allocator().then(|| AllocationLearning::of(config, sizes));
         Self {
             places: Places::new(config.allocation.interval),
             players: Players::new(config.low_level.conditioning),

@@ -6,8 +6,7 @@ use sortie_envs::random::below;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::Tape;
 
-use super::critic::CriticInput;
-use super::networks::{AllocationCritic, AllocationPolicy};
+use super::networks::{AllocationCritic, AllocationPolicy, CriticInput};
 use super::proposals::{Noise, Proposals};
 use super::rows::States;
 

@@ -12,9 +12,8 @@ use sortie_nn::optimise::{RmsProp, clip_norm};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::Tape;
 
-use super::critic::CriticInput;
 use super::decide::{AllocationNetworks, best_of, blocks};
-use super::networks::{AllocationCritic, AllocationPolicy};
+use super::networks::{AllocationCritic, AllocationPolicy, CriticInput};
 use super::proposals::Proposals;
 use super::rows::Rows;
 use super::{AllocationLearning, StepDraws};
@@ -84,23 +83,13 @@ impl AllocationLevel {
         // The low level draws its weights from the streams before these.
         let critic = AllocationCritic::initialise(learning.shape, &mut random(16));
         let policy = AllocationPolicy::initialise(learning.shape, &mut random(17));
-        Self::with_networks(learning, critic.clone(), policy, critic)
-    }
-
-    /// Given networks and optimisers that have taken no step.
-    pub fn with_networks(
-        learning: AllocationLearning,
-        critic: AllocationCritic,
-        policy: AllocationPolicy,
-        target: AllocationCritic,
-    ) -> Self {
         Self {
             learning,
             optimisers: [&critic.parameters, &policy.parameters]
                 .map(|parameters| RmsProp::new(parameters.values.len())),
+            target: critic.clone(),
             critic,
             policy,
-            target,
             lanes: vec![Lane::default(); LANES],
             last: LastStep::default(),
         }
@@ -140,7 +129,7 @@ impl AllocationLevel {
         threads: usize,
     ) -> Option<AllocationReport> {
         let mut rows = std::mem::take(&mut self.last.rows);
-        rows.collect(windows, now, &self.learning.rows);
+        rows.collect(windows, now, &self.learning.config);
         let loss = Loss::new(&rows, &self.learning);
         let step = |loss: &Loss| self.step(Step { rows: &rows, loss, draws }, threads);
         let report = loss.as_ref().map(step);
@@ -151,9 +140,9 @@ impl AllocationLevel {
     fn step(&mut self, step: Step<'_>, threads: usize) -> AllocationReport {
         let (rows, count) = (step.rows, step.rows.len());
         let (learning, critic, policy) = (&self.learning, &self.critic, &self.policy);
-        let networks = (AllocationNetworks { policy, critic }, &self.target);
+        let networks = AllocationNetworks { policy, critic };
         in_lanes(threads, &mut self.lanes, |index, lane| {
-            lane.propose(learning, networks, step, lane_range(count, index));
+            lane.propose(learning, networks, &self.target, step, lane_range(count, index));
         });
 
         self.last.best.clear();
@@ -203,7 +192,7 @@ impl AllocationLevel {
 
     /// `R + γ (1 - term) Q(s', b*')` of all rows but the last.
     fn find_targets(&mut self, rows: &Rows) {
-        let discount = self.learning.discount;
+        let discount = f64::from(self.learning.config.discount);
         let next = self.lanes.iter().flat_map(|lane| &lane.values).skip(1);
         let known = rows.reward.iter().zip(&rows.terminated).zip(next);
         self.last.targets.clear();
@@ -234,18 +223,15 @@ impl Loss {
     /// The weights of rows, or `None` where no row counts.
     fn new(rows: &Rows, learning: &AllocationLearning) -> Option<Self> {
         let mask = rows.mask.iter().map(|mask| f64::from(u8::from(*mask)));
-        let mut policy: Vec<f64> = mask
-            .clone()
-            .zip(&rows.weight)
-            .map(|(mask, weight)| mask * f64::from(*weight))
-            .collect();
+        let aged = mask.zip(&rows.weight).map(|(mask, weight)| mask * f64::from(*weight));
+        let mut policy: Vec<f64> = aged.collect();
         let critic = policy[..policy.len().checked_sub(1)?].to_vec();
         if learning.as_public_code {
             *policy.last_mut()? = f64::from(u8::from(*rows.mask.last()?));
         }
         let (critic_total, policy_total) = (critic.iter().sum::<f64>(), policy.iter().sum::<f64>());
         policy.iter_mut().for_each(|weight| *weight /= policy_total);
-        let proposals = (rows.len() * learning.proposals) as f64;
+        let proposals = (rows.len() * learning.config.proposals) as f64;
         (critic_total > 0.0).then_some(Self { critic, critic_total, policy, proposals })
     }
 }
@@ -276,7 +262,6 @@ struct Lane {
     surprise: f64,
     /// Sum of the entropies of all proposals.
     entropy: f64,
-    /// Floating-point operations of the step.
     operations: u64,
 }
 
@@ -285,10 +270,8 @@ impl Lane {
     fn propose(
         &mut self,
         learning: &AllocationLearning,
-        (AllocationNetworks { policy, critic }, target): (
-            AllocationNetworks<'_>,
-            &AllocationCritic,
-        ),
+        AllocationNetworks { policy, critic }: AllocationNetworks<'_>,
+        target: &AllocationCritic,
         Step { rows: Rows { states, .. }, loss, draws }: Step<'_>,
         range: Range<usize>,
     ) {
@@ -296,10 +279,10 @@ impl Lane {
         self.values.clear();
         zero(&mut self.policy_gradient, policy.parameters.values.len());
         (self.surprise, self.entropy, self.operations) = (0.0, 0.0, 0);
-        let entropy_weight = (learning.entropy / loss.proposals) as f32;
+        let entropy_weight = (f64::from(learning.config.entropy) / loss.proposals) as f32;
         for block in blocks(range) {
             let Self { policy_tape, critic_tape, input, .. } = self;
-            let sampling = (learning.proposals, draws.noise);
+            let sampling = (learning.config.proposals, draws.noise);
             let own = (states, block.clone());
             let columns = &draws.proposals;
             let mut proposals =

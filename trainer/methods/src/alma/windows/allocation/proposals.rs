@@ -16,10 +16,9 @@ use sortie_learn::random::{Purpose, generator};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Pass, Tape, Var};
 
-use super::block::{Block, NONE};
 use super::networks::{AllocationPolicy, PolicyLayers};
 use super::rows::{Shown, States};
-use super::tree::{Asked, IMPOSSIBLE, Prefix, Team, Tree, is_possible};
+use super::tree::{Asked, Block, IMPOSSIBLE, NONE, Prefix, Team, Tree, is_possible};
 use crate::alma::windows::NO_TASK;
 
 /// What decides between the possible choices.

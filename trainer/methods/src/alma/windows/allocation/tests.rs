@@ -9,15 +9,15 @@ use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Parameters, Tape, Tensor};
 
-use super::critic::CriticInput;
 use super::decide::blocks;
-use super::networks::{AllocationCritic, AllocationPolicy};
+use super::networks::{AllocationCritic, AllocationPolicy, CriticInput};
 use super::proposals::{Noise, Proposals, entropy};
 use super::rows::Shown;
 use super::{
-    AllocationLearning, AllocationLevel, AllocationNetworks, AllocationShape, Decider, RowRules,
-    States, StepDraws, TaskColumns,
+    AllocationLearning, AllocationLevel, AllocationNetworks, AllocationShape, Decider, States,
+    StepDraws, TaskColumns,
 };
+use crate::alma::windows::config::AllocationConfig;
 use crate::alma::windows::{Config, NO_TASK, WindowShape, Windows};
 use sortie_learn::random::{Purpose, generator};
 
@@ -385,14 +385,16 @@ fn matching(random: &mut Generator, episodes: usize) -> Windows {
 #[test]
 fn agents_learn_to_go_where_they_belong() {
     let shape = AllocationShape { features: 4, columns: 3, width: 16, heads: 2 };
-    let learning = AllocationLearning {
+    let sizes = matching(&mut generator(2, Purpose::Rollout, 0), 1).shape;
+    let usual = AllocationLearning::of(&Config::default(), sizes);
+    let config = AllocationConfig {
         proposals: 8,
-        rows: RowRules { interval: 1.0, most: 100, age_limit: 1e6 },
-        learning_rate: 5e-3,
-        shape,
-        ..Config::default()
-            .allocation_learning(matching(&mut generator(2, Purpose::Rollout, 0), 1).shape)
+        interval: 1,
+        rows: 100,
+        oldest: 1_000_000,
+        ..usual.config.clone()
     };
+    let learning = AllocationLearning { shape, config, learning_rate: 5e-3, ..usual };
     let mut level = AllocationLevel::new(learning, 1);
     let mut random = generator(1, Purpose::Rollout, 0);
     let mut surprise = Vec::new();

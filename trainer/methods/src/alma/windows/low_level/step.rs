@@ -49,7 +49,6 @@ pub(super) struct Side {
     pub(super) parameters: Vec<f32>,
     /// Marks of the agents' input.
     pub(super) order: TaskOrder,
-    /// Marks of the coach's input.
     pub(super) coach_order: TaskOrder,
     /// What strategies are drawn with.
     pub(super) seed: u64,
@@ -64,9 +63,7 @@ pub(super) struct Step<'a> {
     pub(super) online: Side,
     /// Those that value what comes next.
     pub(super) target: Side,
-    /// Marks of the mixer's input.
     pub(super) mixer_order: TaskOrder,
-    /// Marks of the recognition's input.
     pub(super) recognition_order: TaskOrder,
 }
 
@@ -85,7 +82,6 @@ pub(super) struct Comparison<'a> {
     pub(super) popart: &'a PopArt,
     /// The head's weights, then its biases, by which they are compared; gradients go through those that learn.
     pub(super) head: &'a [f32],
-    /// Terms of the whole loss.
     pub(super) terms: usize,
 }
 
