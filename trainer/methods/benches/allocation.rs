@@ -20,13 +20,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let rounds: usize = std::env::args().find_map(|word| word.parse().ok()).unwrap_or(20);
     let windows = windows::record()?;
     // Steps without length keep the networks as they were drawn.
-    let learning = AllocationLearning {
-        learning_rate: 0.0,
-        ..Config::default().allocation_learning(windows.shape)
-    };
+    let usual = AllocationLearning::of(&Config::default(), windows.shape);
+    let learning = AllocationLearning { learning_rate: 0.0, ..usual };
     println!("product kernel: {:.0} GFLOP/s by one thread", kernel_speed());
     for threads in [1, 2] {
-        let mut level = AllocationLevel::new(learning, 1);
+        let mut level = AllocationLevel::new(learning.clone(), 1);
         let mut draws = generator(1, Purpose::Replay, 0);
         let (mut wall, mut cpu, mut last) = (Vec::new(), Vec::new(), None);
         for _ in 0..rounds {

@@ -144,33 +144,19 @@ impl ReturnsConfig {
 impl Config {
     /// The published settings of the iron task (dissertation chapter 6 and the public code).
     fn paper() -> Self {
-        let usual = Self::default();
-        Self {
-            network: NetworkConfig {
-                body: Body::Convolution,
-                crop: 11,
-                nearest: false,
-                width: 512,
-                ..usual.network
-            },
-            returns: ReturnsConfig {
-                steps: 10,
-                discount: 0.99,
-                cost: 0.01,
-                logarithm: true,
-                bounded: false,
-                time_outs: false,
-                target_every: 10_000,
-                no_operations: false,
-                mirror: false,
-                ..usual.returns
-            },
-            replay: ReplayConfig::paper(),
-            exploration: ExplorationConfig { first: 400, ..usual.exploration },
-            measured: MeasuredConfig { varied: false, ..usual.measured },
-            weights: WeightsConfig { decay: 1e-5 },
-            optimiser: paper_optimiser(),
-        }
+        let (replay, optimiser) = (ReplayConfig::paper(), paper_optimiser());
+        let mut paper = Self { replay, optimiser, ..Self::default() };
+        let Self { network, returns, .. } = &mut paper;
+        (network.body, network.crop, network.nearest) = (Body::Convolution, 11, false);
+        network.width = 512;
+        (returns.steps, returns.discount, returns.cost) = (10, 0.99, 0.01);
+        (returns.logarithm, returns.bounded, returns.time_outs) = (true, false, false);
+        (returns.no_operations, returns.mirror) = (false, false);
+        returns.target_every = 10_000;
+        paper.exploration.first = 400;
+        paper.measured.varied = false;
+        paper.weights.decay = 1e-5;
+        paper
     }
 }
 
@@ -317,10 +303,9 @@ impl Method for Dqn {
     }
 
     fn rates(&self, now: Now) -> Rates {
-        Rates {
-            epsilon: self.config.exploration.actions_at(now),
-            learning_rate: self.config.optimiser.learning_rate_at(now.env_steps, now.of),
-        }
+        let epsilon = self.config.exploration.actions_at(now);
+        let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+        Rates { epsilon, learning_rate }
     }
 
     fn team(&self) -> Box<dyn Act + '_> {

@@ -7,6 +7,8 @@ mod actor_critic;
 pub mod allocator;
 pub mod alma;
 pub mod dqn;
+#[cfg(test)]
+mod golden_tests;
 pub mod hal;
 pub mod ma_exp;
 pub mod maac;

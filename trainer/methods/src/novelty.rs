@@ -82,7 +82,6 @@ impl Columns {
         }
     }
 
-    /// The agents' cells.
     pub(crate) fn cells<'a>(
         &'a self,
         rows: &'a SparseRows,

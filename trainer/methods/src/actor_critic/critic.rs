@@ -68,13 +68,7 @@ pub trait Critic: fmt::Debug + Send + Sync {
     fn shared(&self) -> [usize; 2];
 
     /// The values of some records.
-    fn values(
-        &self,
-        pass: &mut Pass<'_>,
-        groups: &Groups,
-        shown: Shown<'_>,
-        records: Range<usize>,
-    ) -> Values;
+    fn values(&self, pass: &mut Pass<'_>, shown: Shown<'_>, records: Range<usize>) -> Values;
 }
 
 /// What a critic is shown of all records of a batch.
@@ -86,8 +80,6 @@ pub struct Shown<'a> {
     pub states: &'a [f32],
     /// By groups and heads, `[rows]`: what the others did.
     pub actions: &'a [Vec<u32>],
-    /// Whether that is normalised over the batch, as observations are.
-    pub normalised: bool,
     /// By groups, `[rows, actions]`: the own action, which only some critics see.
     pub own: &'a Rows,
     /// Whether the critic learns, so that its attention counts.

@@ -40,6 +40,11 @@ impl Group {
         &numbers[rows.start * columns..rows.end * columns]
     }
 
+    /// What its agents see in some records, of what they see in all.
+    pub(crate) fn input(&self, pass: &mut Pass<'_>, seen: &[f32], records: &Range<usize>) -> Var {
+        pass.input(self.inputs(), self.rows(seen, self.inputs(), records))
+    }
+
     /// Its rows of some records.
     pub(crate) fn range(&self, records: &Range<usize>) -> Range<usize> {
         records.start * self.agents.len()..records.end * self.agents.len()

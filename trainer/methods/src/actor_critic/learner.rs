@@ -14,9 +14,9 @@ use sortie_nn::tape::{Parameters, Pass, Var};
 
 use super::critic::{Batch, Critic, Shown, Values};
 use super::groups::{Draw, Groups, Rows, Running, best_of_all, emptied};
-use super::losses::{added, drawn_loss, expected_loss, relaxed_loss, soft_value, sum};
+use super::losses::{drawn_loss, expected_loss, relaxed_loss, soft_value, sum, whole};
 use super::policies::Policies;
-use super::rules::{OwnActions, PolicyValues, Rules};
+use super::{OwnActions, PolicyValues, Rules};
 
 /// Networks and optimisers.
 #[derive(Debug)]
@@ -43,34 +43,17 @@ pub struct ActorCritic {
     noise: Rows,
 }
 
-/// How a batch is cut.
-#[derive(Clone, Copy)]
-struct Shards {
-    records: usize,
-    size: usize,
-}
-
-impl Shards {
-    fn count(self) -> usize {
-        self.records.div_ceil(self.size)
-    }
-
-    fn records(self, shard: usize) -> Range<usize> {
-        shard * self.size..self.records.min((shard + 1) * self.size)
-    }
-}
-
 /// Keeps what a pass has computed.
 fn keep(pass: &Pass<'_>, found: &mut Rows, vars: impl ExactSizeIterator<Item = Var>) {
     emptied(found, vars.len());
     vars.zip(found).for_each(|(var, found)| found.extend_from_slice(pass.values(var)));
 }
 
-/// What shards have found, matrix by matrix, one behind the other.
-fn join(learner: &learner::Learner<Rows>, shards: Shards, joined: &mut Rows) {
+/// What so many shards have found, matrix by matrix, one behind the other.
+fn join(learner: &learner::Learner<Rows>, shards: usize, joined: &mut Rows) {
     let count = learner.spaces().next().map_or(0, Vec::len);
     emptied(joined, count);
-    for found in learner.spaces().take(shards.count()) {
+    for found in learner.spaces().take(shards) {
         joined.iter_mut().zip(found).for_each(|(joined, found)| joined.extend_from_slice(found));
     }
 }
@@ -132,42 +115,42 @@ impl ActorCritic {
         }
     }
 
-    fn shards(&self, batch: &Batch) -> Shards {
-        Shards { records: batch.records, size: self.rules.shard }
+    /// The records of each shard of a batch.
+    fn shards(&self, batch: &Batch) -> Vec<Range<usize>> {
+        let (size, records) = (self.rules.shard, batch.records);
+        (0..records).step_by(size).map(|first| first..records.min(first + size)).collect()
     }
 
     /// Finds the scores of actions where agents are shown these rows, by the policies that learn or by their targets.
-    fn score(&mut self, shards: Shards, shown: &Rows, by: By) {
+    fn score(&mut self, shards: &[Range<usize>], shown: &Rows, by: By) {
         let Self { groups, policies, policy_learner, scores, .. } = self;
-        policy_learner.look(shards.count(), by, |Shard { number, pass, space, .. }| {
-            let (heads, records) = (0..policies.heads, shards.records(*number));
+        policy_learner.look(shards.len(), by, |Shard { number, pass, space, .. }| {
+            let (heads, records) = (0..policies.heads, shards[*number].clone());
             let scores = policies.scores(pass, groups, shown, heads, records);
             keep(pass, space, scores.into_iter());
         });
-        join(policy_learner, shards, scores);
+        join(policy_learner, shards.len(), scores);
     }
 
     /// What the records are worth: rewards, and the target critic's values of what comes next.
     fn find_targets(&mut self, batch: &Batch, entropy: f32, draw: &mut dyn Draw) {
         let shards = self.shards(batch);
-        self.score(shards, &batch.next, By::Target);
-        let Self { rules, groups, each, critic, critic_learner, running, .. } = self;
+        self.score(&shards, &batch.next, By::Target);
+        let Self { rules, each, critic, critic_learner, .. } = self;
         let actions = match rules.own_actions {
             OwnActions::Relaxed => best_of_all(each, &self.scores),
             _ => draw.draw(each, &self.scores),
         };
         let own = rules.own_rows(each, &actions);
         let (observations, states) = (&batch.next, &batch.states[1][..]);
-        let normalised = running.is_some();
-        let shown =
-            Shown { observations, states, actions: &actions, normalised, own: &own, learns: false };
-        critic_learner.look(shards.count(), By::Target, |Shard { number, pass, space, .. }| {
-            let values = critic.values(pass, groups, shown, shards.records(*number)).of_actions;
+        let shown = Shown { observations, states, actions: &actions, own: &own, learns: false };
+        critic_learner.look(shards.len(), By::Target, |Shard { number, pass, space, .. }| {
+            let values = critic.values(pass, shown, shards[*number].clone()).of_actions;
             let all = values.iter().flat_map(|of| std::iter::once(of.earned).chain(of.paid));
             keep(pass, space, all.collect::<Vec<_>>().into_iter());
         });
         let mut values = Rows::new();
-        join(critic_learner, shards, &mut values);
+        join(critic_learner, shards.len(), &mut values);
         self.look_back(batch, entropy, &actions, &values);
     }
 
@@ -208,26 +191,25 @@ impl ActorCritic {
     /// Moves the critic towards the targets. Its shards keep the values that it had.
     fn update_critic(&mut self, batch: &Batch) -> UpdateReport {
         let (shards, heads) = (self.shards(batch), self.policies.heads);
-        let Self { rules, groups, each, critic, critic_learner, running, .. } = self;
+        let Self { rules, groups, each, critic, critic_learner, .. } = self;
         // What was done was done under one head, and counts for all.
         let taken = batch.actions.iter().flat_map(|actions| vec![actions.clone(); heads]);
         let taken: Vec<Vec<u32>> = taken.collect();
         let own = rules.own_rows(each, &taken);
         let (observations, states) = (&batch.observations, &batch.states[0][..]);
-        let normalised = running.is_some();
-        let shown =
-            Shown { observations, states, actions: &taken, normalised, own: &own, learns: true };
+        let shown = Shown { observations, states, actions: &taken, own: &own, learns: true };
         let share = 1.0 / batch.records as f32;
         let penalty = rules.penalties[0] * share / (groups.agents() - 1).max(1) as f32;
         let [earned, paid] = &self.targets;
         let loss = |shard: &mut Shard<'_, Rows>| {
-            let records = shards.records(shard.number);
+            let records = shards[shard.number].clone();
             let Shard { pass, space, .. } = shard;
-            let values = critic.values(pass, groups, shown, records.clone());
-            let mut whole = values.squared_scores.map(|scores| {
+            let values = critic.values(pass, shown, records.clone());
+            let mut terms = Vec::new();
+            if let Some(scores) = values.squared_scores {
                 let sum = pass.sum_rows(scores);
-                pass.scale(sum, penalty)
-            });
+                terms.push(pass.scale(sum, penalty));
+            }
             for (index, of) in values.of_actions.iter().enumerate() {
                 let rows = each.0[index].range(&records);
                 let chosen = |pass: &mut Pass<'_>, values: Var| match pass.size(values) {
@@ -235,19 +217,17 @@ impl ActorCritic {
                     _ => pass.pick(values, &taken[index][rows.clone()]),
                 };
                 let value = chosen(pass, of.earned);
-                let error = pass.squared_error(value, &earned[index][rows.clone()], share);
-                whole = Some(added(pass, whole, error));
+                terms.push(pass.squared_error(value, &earned[index][rows.clone()], share));
                 if let Some(value) = of.paid {
                     let value = chosen(pass, value);
-                    let error = pass.huber(value, &paid[index][rows.clone()], share, 1.0);
-                    whole = Some(added(pass, whole, error));
+                    terms.push(pass.huber(value, &paid[index][rows.clone()], share, 1.0));
                 }
             }
             keep(pass, space, values.of_actions.iter().map(|of| of.earned));
-            Loss::of(pass, |_| whole.expect("there are agents"))
+            Loss::of(pass, |pass| whole(pass, terms))
         };
         let ([weights, served], clip) = (critic.shared(), rules.clips[0]);
-        critic_learner.update_by(shards.count(), rules.rates[0], loss, |gradient| {
+        critic_learner.update_by(shards.len(), rules.rates[0], loss, |gradient| {
             // What serves several values is not to move as many times as far.
             gradient[..weights].iter_mut().for_each(|slope| *slope *= 1.0 / served as f32);
             clip_norm(gradient, clip)
@@ -265,9 +245,9 @@ impl ActorCritic {
         let values: Vec<&Rows> = critic_learner.spaces().collect();
         let share = 1.0 / batch.records as f32;
         let loss = |Shard { number, pass, .. }: &mut Shard<'_, Rows>| {
-            let (heads, records) = (0..policies.heads, shards.records(*number));
+            let (heads, records) = (0..policies.heads, shards[*number].clone());
             let scores = policies.scores(pass, groups, &batch.observations, heads, records.clone());
-            let mut whole = None;
+            let mut terms = Vec::new();
             for (index, scores) in scores.into_iter().enumerate() {
                 let (group, values) = (&each.0[index], &values[*number][index]);
                 let rows = group.range(&records);
@@ -281,18 +261,16 @@ impl ActorCritic {
                         relaxed_loss(pass, scores, noise, values)
                     }
                 };
-                let gain = pass.scale(gain, share);
-                whole = Some(added(pass, whole, gain));
+                terms.push(pass.scale(gain, share));
                 let squares = pass.multiply(scores, scores);
                 let squares = sum(pass, squares);
                 let penalty = rules.penalties[1] * share / group.actions as f32;
-                let squares = pass.scale(squares, penalty);
-                whole = Some(added(pass, whole, squares));
+                terms.push(pass.scale(squares, penalty));
             }
-            Loss::of(pass, |_| whole.expect("there are agents"))
+            Loss::of(pass, |pass| whole(pass, terms))
         };
         let (each_head, clip) = (1.0 / policies.heads as f32, rules.clips[1]);
-        self.policy_learner.update_by(shards.count(), rules.rates[1], loss, |gradient| {
+        self.policy_learner.update_by(shards.len(), rules.rates[1], loss, |gradient| {
             policies.ranges().fold(0.0, |longest: f32, (range, shared)| {
                 let gradient = &mut gradient[range];
                 gradient[..shared].iter_mut().for_each(|slope| *slope *= each_head);
@@ -306,8 +284,8 @@ impl ActorCritic {
     /// A critic that sees the own action is shown a drawn one, while the others do their best, and its shards keep slopes.
     fn value_anew(&mut self, batch: &Batch, draw: &mut dyn Draw) -> Vec<Vec<u32>> {
         let shards = self.shards(batch);
-        self.score(shards, &batch.observations, By::Online);
-        let Self { rules, groups, each, critic, critic_learner, running, scores, noise, .. } = self;
+        self.score(&shards, &batch.observations, By::Online);
+        let Self { rules, each, critic, critic_learner, scores, noise, .. } = self;
         let relaxed = rules.own_actions == OwnActions::Relaxed;
         let others = if relaxed { best_of_all(each, scores) } else { draw.draw(each, scores) };
         let mut own = Rows::new();
@@ -321,12 +299,10 @@ impl ActorCritic {
             own = rules.own_rows(each, &best_of_all(each, scores));
         }
         let (observations, states) = (&batch.observations, &batch.states[0][..]);
-        let normalised = running.is_some();
-        let shown =
-            Shown { observations, states, actions: &others, normalised, own: &own, learns: false };
+        let shown = Shown { observations, states, actions: &others, own: &own, learns: false };
         let weights = critic_learner.online.values.len();
-        critic_learner.look(shards.count(), By::Online, |Shard { number, pass, space, .. }| {
-            let values = critic.values(pass, groups, shown, shards.records(*number));
+        critic_learner.look(shards.len(), By::Online, |Shard { number, pass, space, .. }| {
+            let values = critic.values(pass, shown, shards[*number].clone());
             if relaxed {
                 keep_slopes(pass, &values, weights, space);
             } else {
@@ -420,21 +396,15 @@ mod tests {
 
     /// A layer that sees an agent's own row.
     #[derive(Debug)]
-    struct Plain(Linear);
+    struct Plain(Linear, Group);
 
     impl Critic for Plain {
         fn shared(&self) -> [usize; 2] {
             [0, 1]
         }
 
-        fn values(
-            &self,
-            pass: &mut Pass<'_>,
-            groups: &Groups,
-            shown: Shown<'_>,
-            records: Range<usize>,
-        ) -> Values {
-            let x = pass.input(3, groups.0[0].rows(&shown.observations[0], 3, &records));
+        fn values(&self, pass: &mut Pass<'_>, shown: Shown<'_>, records: Range<usize>) -> Values {
+            let x = pass.input(3, self.1.rows(&shown.observations[0], 3, &records));
             let paid = shown.states.first().map(|_| pass.linear(x, self.0));
             let of_actions = vec![Value { earned: pass.linear(x, self.0), paid }];
             Values { of_actions, ..Values::default() }
@@ -477,7 +447,7 @@ mod tests {
             shard: 4,
         };
         let (mut weights, random) = (Parameters::default(), &mut generator(1));
-        let critic = Plain(weights.linear("values", 3, 2, random));
+        let critic = Plain(weights.linear("values", 3, 2, random), groups.0[0].clone());
         let shape = PolicyShape { widths: [4, 4], heads: 1, slope: 0.0 };
         let policies = Policies::new(shape, &groups, random);
         let critic = (Box::new(critic) as Box<dyn Critic>, weights);

@@ -63,11 +63,10 @@ pub(crate) fn sum(pass: &mut Pass<'_>, x: Var) -> Var {
     pass.sum_columns(row)
 }
 
-pub(crate) fn added(pass: &mut Pass<'_>, loss: Option<Var>, part: Var) -> Var {
-    match loss {
-        Some(loss) => pass.add(loss, part),
-        None => part,
-    }
+/// What several terms, at least one, come to.
+pub(crate) fn whole(pass: &mut Pass<'_>, terms: Vec<Var>) -> Var {
+    let sum = terms.into_iter().reduce(|sum, term| pass.add(sum, term));
+    sum.expect("there are agents")
 }
 
 #[cfg(test)]

@@ -72,7 +72,6 @@ impl HeadingAgents {
         utilities
     }
 
-    /// The agents as they are deployed.
     pub(super) fn deployed(&self) -> DeployedAgents<'_> {
         let networks = DeployedNetworks::Attention { network: self.network(), memory: None };
         let utilities = |seen: &Observation<'_>, _: &mut [f32]| Ok(self.utilities(seen));

@@ -8,19 +8,16 @@ use sortie_learn::networks::{chances, draw};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::subtasks::{
-    AllocatedTeam, AllocatorNetworks, LearnedAllocator, ScriptedAgents, Subtasks,
-};
+use sortie_learn::subtasks::{AllocatedTeam, ScriptedAgents, Subtasks};
 use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Transition};
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::tape::Pass;
 
-use super::Config;
 use super::agents::HeadingAgents;
 use super::deciding::{Asked, Group, Seen};
-use super::export::graphs;
 use super::greedy::Greedy;
 use super::network::Network;
+use super::{Config, scripted};
 
 /// What episodes of a group differ by that earn the same but for rounding.
 const LEAST_SPREAD: f32 = 1e-4;
@@ -211,19 +208,7 @@ impl Method for Allocator {
     }
 
     fn subtasks(&self) -> Option<Subtasks<'_>> {
-        let allocator = LearnedAllocator {
-            allocate: Box::new(self.greedy()),
-            networks: AllocatorNetworks::Pointing(Box::new(|most, contract| {
-                graphs(&self.network, &self.learner.average, most, contract)
-            })),
-            team_max: None,
-        };
-        Some(Subtasks {
-            agents: Box::new(ScriptedAgents::new(0)),
-            are_seen: true,
-            interval: 1,
-            allocator: Some(allocator),
-        })
+        Some(scripted(self.greedy(), (&self.network, &self.learner.average)))
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {

@@ -20,6 +20,9 @@ use sortie_learn::configuration::Range::{Number, Whole};
 use sortie_learn::configuration::{OPTIMISER, OptimiserConfig};
 use sortie_learn::run::RunConfig;
 use sortie_learn::session::{MethodEntry, Opening, Preset, Setup};
+use sortie_learn::subtasks::{
+    Allocate, AllocatorNetworks, LearnedAllocator, ScriptedAgents, Subtasks,
+};
 use sortie_learn::{LearnError, Method, section, sections};
 use toml::Table;
 
@@ -50,14 +53,19 @@ sections! {
     }
 
     /// How the weights follow the gradient. There is no target network.
-    optimiser: OptimiserConfig = OptimiserConfig {
+    optimiser: OptimiserConfig = optimiser(), OPTIMISER;
+}
+
+/// How the weights of both presets follow the gradient.
+fn optimiser() -> OptimiserConfig {
+    OptimiserConfig {
         learning_rate: 1e-3,
         learning_rate_end: 3e-5,
         decay_from: 0.3,
         clip: 1.0,
         average_rate: 0.01,
         ..OptimiserConfig::default()
-    }, OPTIMISER;
+    }
 }
 
 /// An allocator alone.
@@ -103,4 +111,19 @@ fn open(opening: &Opening<'_>) -> Result<Box<dyn Method>, LearnError> {
         return Ok(Box::new(aql::Aql::new(opening.setup.own()?, opening)?));
     }
     Ok(Box::new(method::Allocator::new(opening.setup.own()?, opening)?))
+}
+
+/// Agents that follow their environment's script, and an allocator that decides at every step by this network and these weights.
+fn scripted<'a>(
+    allocate: impl Allocate + 'a,
+    (network, weights): (&'a network::Network, &'a [f32]),
+) -> Subtasks<'a> {
+    let write = move |most, contract| export::graphs(network, weights, most, contract);
+    let allocator = LearnedAllocator {
+        allocate: Box::new(allocate),
+        networks: AllocatorNetworks::Pointing(Box::new(write)),
+        team_max: None,
+    };
+    let agents = Box::new(ScriptedAgents::new(0));
+    Subtasks { agents, are_seen: true, interval: 1, allocator: Some(allocator) }
 }

@@ -13,13 +13,12 @@ use crate::alma::agents::{
     Columns, Conditioning, NO_ACTION, NetworkPolicy, TeamBatch, UtilityLayers, UtilityShape,
     UtilityView,
 };
-use crate::alma::coach::{Advice, Coach, strategy_of};
+use crate::alma::coach::{Advice, Coach};
 
 /// Agents that learn or have learned, greedy, on all scenes at once.
 #[derive(Debug)]
 pub struct NetworkAgents<'a> {
     agents: Agents<'a>,
-    conditioning: Conditioning,
     players: Players,
     advice: Option<Advice<'a>>,
 }
@@ -27,8 +26,8 @@ pub struct NetworkAgents<'a> {
 impl<'a> NetworkAgents<'a> {
     /// Acts by agents that see subtasks as they were trained to, and are told their strategies if they have a coach.
     pub fn new(agents: Agents<'a>, conditioning: Conditioning) -> Self {
-        let players = Players::new(conditioning);
-        Self { agents, conditioning, players, advice: agents.coach.map(Advice::new) }
+        let advice = agents.coach.map(Advice::new);
+        Self { agents, players: Players::new(conditioning), advice }
     }
 }
 
@@ -52,7 +51,7 @@ impl subtasks::Agents for NetworkAgents<'_> {
     /// Of agents that decide by what the subtask mask shows and nothing else, whom they attend to can be told.
     fn thoughts(&mut self, scenes: &[AllocatedScene<'_>]) -> Vec<Thought> {
         let Agents { network, unit, .. } = self.agents;
-        if self.conditioning != Conditioning::Mask || unit.is_some() {
+        if self.players.conditioning != Conditioning::Mask || unit.is_some() {
             return Vec::new();
         }
         let (mut policy, mut views) = (NetworkPolicy::new(network), MaskedViews::default());
@@ -93,8 +92,9 @@ impl<'a> Agents<'a> {
 }
 
 /// The buffers to act with, and what agents remember of the running episodes.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Players {
+    conditioning: Conditioning,
     batch: TeamBatch,
     tape: Tape,
     /// (scene, agent) of every row of the batch.
@@ -110,14 +110,7 @@ pub struct Players {
 impl Players {
     /// Buffers for agents that see teams so; nobody remembers anything.
     pub fn new(conditioning: Conditioning) -> Self {
-        Self {
-            batch: TeamBatch::new(conditioning),
-            tape: Tape::default(),
-            actors: Vec::new(),
-            memory: Vec::new(),
-            remembered: Vec::new(),
-            operations: 0,
-        }
+        Self { conditioning, ..Self::default() }
     }
 
     /// Computes the utilities `[U]` of all agents of all scenes and gives them to `each` with scene and agent.
@@ -144,7 +137,8 @@ impl Players {
         if coach.is_some() {
             let mut told = vec![0.0; actors.len() * shape.base];
             for (told, (scene, agent)) in told.chunks_exact_mut(shape.base).zip(&*actors) {
-                if let Some(own) = strategy_of(scenes[*scene].strategies, *agent, shape.base) {
+                let own = agent * shape.base..(agent + 1) * shape.base;
+                if let Some(own) = scenes[*scene].strategies.get(own) {
                     told.copy_from_slice(own);
                 }
             }
@@ -204,7 +198,7 @@ impl Players {
         let Self { batch, actors, .. } = self;
         let spec = scenes.first().map(|scene| scene.environment.spec());
         let columns = spec.map(|spec| Columns::of(&spec.shape, shape.targets));
-        batch.clear(columns.unwrap_or_default());
+        batch.clear(self.conditioning, columns.unwrap_or_default());
         actors.clear();
         let tasks = scenes.iter().map(|scene| scene.seen.tasks()).max().unwrap_or(0);
         if batch.columns(tasks) > shape.input {
@@ -264,7 +258,7 @@ mod tests {
     /// So large weights that whatever is seen decides what is done.
     fn network(environment: &dyn sortie_envs::Environment) -> UtilityNetwork {
         let shape = Config::default().network.shape(environment.spec());
-        UtilityNetwork::initialise(shape, 0.02, &mut generator(4, Purpose::Weights, 0))
+        crate::alma::agents::network(shape, 0.02, 4)
     }
 
     fn city() -> Box<dyn sortie_envs::Environment> {

@@ -1,18 +1,20 @@
 //! HAL as a [`Method`].
 
+use sortie_envs::random::chance;
 use sortie_envs::{Environment, Random, Sign};
 use sortie_learn::configuration::require;
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::random::{Purpose, generator};
-use sortie_learn::run::{Rates, Reports};
+use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::session::Opening;
+use sortie_learn::trajectory::{End, Place};
 use sortie_learn::{Act, Ask, LearnError, Method, Now, State, Transition};
 
 use super::affordances::{Classes, Classifier, Population, Source};
-use super::lessons::Update;
-use super::{AffordancesConfig, Config, MeasuredConfig, NetworkConfig};
+use super::{AffordancesConfig, Config, MeasuredConfig, NetworkConfig, ReturnsConfig};
 use crate::options::{
-    Actors, Chances, Chooser, Mask, Measured, QNetwork, Recorder, Replay, deployed, rules, shown,
+    Actors, Chances, Chooser, Lesson, Lessons, Mask, Measured, NONE, Next, OptionPlace, QNetwork,
+    Recorder, Replay, deployed, returns, rules, shown,
 };
 use crate::pictures::{Body, Heads, NetworkShape, Shown};
 
@@ -48,23 +50,15 @@ impl Hal {
     pub fn new(config: Config, opening: &Opening<'_>) -> Result<Self, LearnError> {
         let Opening { setup, environment, seed, .. } = *opening;
         let spec = environment.spec();
-        let NetworkConfig { body, crop, nearest, width, embedding, dueling, .. } = config.network;
+        let NetworkConfig { body, crop, nearest, width, embedding, dueling, active_inputs: active } =
+            config.network;
         let widths = [("width", width), ("embedding", embedding)];
         let shown = shown(spec, body, (crop, nearest), &widths)?;
         let instances = setup.environment.instances;
         let milestones = spec.milestones.len();
         let heads = Heads { goals: milestones, actions: spec.shape.actions, dueling: true };
-        let shape = |width: usize, heads: Heads| {
-            let (picture, columns) = (shown.shape(), shown.columns());
-            NetworkShape {
-                body,
-                picture,
-                columns,
-                active: config.network.active_inputs,
-                width,
-                heads,
-            }
-        };
+        let (picture, columns) = (shown.shape(), shown.columns());
+        let shape = |width, heads| NetworkShape { body, picture, columns, active, width, heads };
         let weights = |index: u64| generator(seed, Purpose::Weights, index);
         let learned = rules(&config.optimiser, &config.weights);
         let classes = shape(if embedding == 0 { width } else { embedding }, heads.of_goals(false));
@@ -94,18 +88,13 @@ impl Hal {
     fn actors(&self, averaged: bool) -> Actors<'_> {
         let AffordancesConfig { mask, threshold, unreached, .. } = self.config.affordances;
         let (meta, classifier) = (self.meta.weights(averaged), self.classifier.weights(averaged));
+        let known = self.known;
+        let chooser = Chooser { mask, threshold, unreached, meta, classifier, known };
         Actors {
             option_steps: self.config.returns.option_steps,
             shown: &self.shown,
             controller: self.controller.weights(averaged),
-            chooser: Some(Chooser {
-                mask,
-                threshold,
-                unreached,
-                meta,
-                classifier,
-                known: self.known,
-            }),
+            chooser: Some(chooser),
         }
     }
 
@@ -167,15 +156,9 @@ impl Method for Hal {
         let Ask { scenes, random, actions } = ask;
         let exploration = &self.config.exploration;
         let [goals, afforded] = exploration.goals_at(self.config.affordances.mask, now);
-        let actions_chance = exploration.actions_at(now);
+        let (drawn, reached) = (exploration.actions_at(now), &self.reached);
+        let chances = Chances { actions: drawn, goals, afforded, reached, varied: false };
         let mut player = std::mem::take(&mut self.recorder.player);
-        let chances = Chances {
-            actions: actions_chance,
-            goals,
-            afforded,
-            reached: &self.reached,
-            varied: false,
-        };
         player.act(self.actors(false), scenes, chances, random, actions);
         self.recorder.player = player;
         Ok(())
@@ -203,10 +186,9 @@ impl Method for Hal {
     }
 
     fn rates(&self, now: Now) -> Rates {
-        Rates {
-            epsilon: self.config.exploration.actions_at(now),
-            learning_rate: self.config.optimiser.learning_rate_at(now.env_steps, now.of),
-        }
+        let epsilon = self.config.exploration.actions_at(now);
+        let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+        Rates { epsilon, learning_rate }
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
@@ -245,5 +227,146 @@ impl Method for Hal {
         state.value("reached", &mut self.reached)?;
         state.value("random", &mut self.random)?;
         state.value("updates", &mut self.updates)
+    }
+}
+
+/// Draws of an option before an update is given up: nothing is kept yet.
+const TRIES: usize = 10_000;
+
+/// What updates are made of.
+pub(super) struct Update<'a> {
+    pub(super) config: &'a Config,
+    pub(super) replay: &'a mut Replay,
+    pub(super) shown: &'a Shown,
+    pub(super) environment: &'a dyn Environment,
+    /// How far losses make up for priorities.
+    pub(super) exponent: f32,
+    pub(super) random: &'a mut Random,
+}
+
+impl Update<'_> {
+    /// Makes an update of the controller: how actions lead to each milestone (equation 6.1, double Q-learning).
+    pub(super) fn controller(&mut self, q: &mut QNetwork, learning_rate: f32) -> UpdateReport {
+        let mut lessons = Vec::new();
+        while lessons.len() < self.config.replay.batch {
+            lessons.extend(self.draw_step());
+        }
+        let report = q.update(self.lessons(&lessons), learning_rate);
+        let drawn = lessons.iter().map(|lesson| lesson.state);
+        self.replay.correct_steps(drawn.zip(q.errors().iter().copied()));
+        report
+    }
+
+    /// Makes an update of the meta-controller: how goals lead to the task. None where too little is kept.
+    pub(super) fn meta(&mut self, q: &mut QNetwork, learning_rate: f32) -> Option<UpdateReport> {
+        let (batch, milestones) = (self.config.meta.batch, q.network.heads.actions);
+        let draws = (0..TRIES).filter_map(|_| self.draw_option(milestones));
+        let (drawn, lessons): (Vec<_>, Vec<_>) = draws.take(batch).unzip();
+        if lessons.len() < batch {
+            return None;
+        }
+        let report = q.update(self.lessons(&lessons), learning_rate);
+        self.replay.correct_options(drawn.into_iter().zip(q.errors().iter().copied()));
+        Some(report)
+    }
+
+    pub(super) fn lessons<'a>(&'a self, lessons: &'a [Lesson]) -> Lessons<'a> {
+        let (exponent, bounded) = (self.exponent, self.config.returns.bounded);
+        Lessons { lessons, replay: self.replay, shown: self.shown, exponent, bounded }
+    }
+
+    /// A step to learn from; none where it is none to begin with.
+    pub(super) fn draw_step(&mut self) -> Option<Lesson> {
+        let config = &self.config.returns;
+        let (state, priority) = self.replay.draw(self.config.replay.reached, self.random);
+        let note = self.replay.steps.note(state);
+        let earned = |goal| returns(self.replay, state, config.rules(), config.paid(goal));
+        let (own, next) = earned(note.goal)?;
+        let other = if config.relabel { note.option_reached } else { NONE };
+        let other = if other == note.goal { NONE } else { other };
+        let also = if other == NONE { 0.0 } else { earned(other)?.0 };
+        let goals = [(note.goal, own), (other, also)];
+        let is_mirrored = config.mirror && chance(self.random, 0.5);
+        let action = self.replay.steps.actions(state)[0];
+        let action = self.environment.turned_action(is_mirrored.into(), action).into();
+        Some(Lesson { state, is_mirrored, action, goals, next, priority })
+    }
+
+    /// An option to learn from; none where it is none to begin with.
+    pub(super) fn draw_option(&mut self, milestones: usize) -> Option<(OptionPlace, Lesson)> {
+        let Config { returns, meta, .. } = self.config;
+        let (option, priority) = self.replay.draw_option(meta.solved, self.random)?;
+        let Course { start: state, goal, reward, next } =
+            self.config.course(self.replay, option, milestones)?;
+        let is_mirrored = returns.mirror && chance(self.random, 0.5);
+        let everything = |next: Next| Next { mask: u32::MAX, ..next };
+        let next = if meta.masked { next } else { next.map(everything) };
+        let (action, goals) = (goal.into(), [(0, reward), (NONE, 0.0)]);
+        Some((option, Lesson { state, is_mirrored, action, goals, next, priority }))
+    }
+}
+
+/// What some options from one on led to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Course {
+    pub(super) start: Place,
+    /// The goal that counts as chosen.
+    pub(super) goal: u8,
+    /// What was earned.
+    pub(super) reward: f32,
+    /// Where a value is looked up, and the milestones that could be chosen there.
+    pub(super) next: Option<Next>,
+}
+
+impl Config {
+    /// What the options of an episode from one on led to; none where that is not known yet. Of so many milestones the last is
+    /// the task.
+    pub(super) fn course(
+        &self,
+        replay: &Replay,
+        (instance, number): OptionPlace,
+        milestones: usize,
+    ) -> Option<Course> {
+        let ReturnsConfig { relabel, time_outs, .. } = self.returns;
+        let ([worth, cost], task) = (self.returns.worth(), milestones as u8 - 1);
+        let first = *replay.option((instance, number))?;
+        // An option that fulfilled the task counts as meant to.
+        let goal = if relabel && first.reached == task { task } else { first.goal };
+        let all = u32::MAX >> (32 - milestones);
+        let (mut reward, mut discount, mut next) = (0.0, 1.0, None);
+        for ahead in 0..self.meta.options as u32 {
+            let Some(option) = replay.option((instance, number + ahead)) else { break };
+            let over = |reward| Course { start: first.start, goal, reward, next: None };
+            if option.reached == task {
+                return Some(over(reward + discount * worth));
+            }
+            // What comes before an option that is not learned from ends where it begins.
+            if option.end != End::Open && !time_outs {
+                if ahead == 0 {
+                    return None;
+                }
+                next = Some((option.start, option.mask));
+                break;
+            }
+            if option.reached != NONE {
+                reward -= discount * cost;
+            }
+            if option.end == End::Over {
+                return Some(over(reward));
+            }
+            let steps = option.steps.into();
+            discount *= self.meta.discount * self.meta.step_discount.powi(steps);
+            // The mask of an option that still runs is not known yet, nor one behind the last.
+            next = Some((option.start.after(option.steps.into()), all));
+            if option.end == End::TimedOut {
+                break;
+            }
+        }
+        let (place, mask) = next?;
+        let following = replay.option((instance, number + self.meta.options as u32));
+        let mask =
+            following.filter(|option| option.start == place).map_or(mask, |option| option.mask);
+        let next = Some(Next { place, discount, mask });
+        replay.steps.has(place).then_some(Course { start: first.start, goal, reward, next })
     }
 }

@@ -4,7 +4,6 @@
 //! can be reached next is learned from what happened, and masks the choice.
 
 mod affordances;
-mod lessons;
 mod method;
 #[cfg(test)]
 mod tests;
@@ -17,8 +16,8 @@ use sortie_learn::{LearnError, Method, Now, sections};
 use sortie_nn::schedule::linear;
 
 use crate::options::{
-    Chances, CourseRules, NONE, Note, Paid, REPLAY, ReturnRules, WEIGHTS, fast_optimiser,
-    fast_setup, learned_as, misfit, paper_optimiser, paper_setup,
+    Chances, NONE, Note, Paid, REPLAY, ReturnRules, WEIGHTS, fast_optimiser, fast_setup,
+    learned_as, misfit, paper_optimiser, paper_setup,
 };
 
 pub use crate::options::{Mask, MaskCounts, Measured, ReplayConfig, WeightsConfig};
@@ -212,22 +211,6 @@ impl ReturnsConfig {
             is_over: note.reached != NONE,
         }
     }
-
-    fn course_rules(&self, meta: &MetaConfig, milestones: usize) -> CourseRules {
-        let Self { relabel, time_outs, .. } = *self;
-        let MetaConfig { options, discount, step_discount, .. } = *meta;
-        let [worth, cost] = self.worth();
-        CourseRules {
-            options,
-            discount,
-            step_discount,
-            relabel,
-            time_outs,
-            worth,
-            cost,
-            milestones,
-        }
-    }
 }
 
 impl ExplorationConfig {
@@ -259,59 +242,25 @@ impl ExplorationConfig {
 impl Config {
     /// The published settings of the iron task (dissertation chapter 6 and the public code).
     fn paper() -> Self {
-        let usual = Self::default();
-        Self {
-            network: NetworkConfig {
-                body: Body::Convolution,
-                crop: 11,
-                nearest: false,
-                width: 512,
-                embedding: 128,
-                dueling: true,
-                ..usual.network
-            },
-            affordances: AffordancesConfig {
-                unreached: true,
-                squared: true,
-                apart: true,
-                refresh: 1,
-                every: 10,
-                triplets: 32,
-                population: 1_000,
-                ..usual.affordances
-            },
-            returns: ReturnsConfig {
-                steps: 10,
-                discount: 0.99,
-                cost: 0.01,
-                logarithm: true,
-                bounded: false,
-                time_outs: false,
-                target_every: 10_000,
-                no_operations: false,
-                mirror: false,
-                ..usual.returns
-            },
-            meta: MetaConfig {
-                discount: 0.99,
-                step_discount: 1.0,
-                masked: false,
-                first: 1_600,
-                every: 10,
-                batch: 32,
-                ..usual.meta
-            },
-            replay: ReplayConfig::paper(),
-            exploration: ExplorationConfig {
-                first_actions: 400,
-                start: 25_600,
-                afforded: [0.8, 0.0],
-                ..usual.exploration
-            },
-            measured: MeasuredConfig { varied: false, ..usual.measured },
-            weights: WeightsConfig { decay: 1e-5 },
-            optimiser: paper_optimiser(),
-        }
+        let (replay, optimiser) = (ReplayConfig::paper(), paper_optimiser());
+        let mut paper = Self { replay, optimiser, ..Self::default() };
+        let Self { network, affordances, returns, meta, exploration, .. } = &mut paper;
+        (network.body, network.crop, network.nearest) = (Body::Convolution, 11, false);
+        (network.width, network.embedding, network.dueling) = (512, 128, true);
+        (affordances.unreached, affordances.squared, affordances.apart) = (true, true, true);
+        (affordances.refresh, affordances.every) = (1, 10);
+        (affordances.triplets, affordances.population) = (32, 1_000);
+        (returns.steps, returns.discount, returns.cost) = (10, 0.99, 0.01);
+        (returns.logarithm, returns.bounded, returns.time_outs) = (true, false, false);
+        (returns.no_operations, returns.mirror) = (false, false);
+        returns.target_every = 10_000;
+        (meta.discount, meta.step_discount, meta.masked) = (0.99, 1.0, false);
+        (meta.first, meta.every, meta.batch) = (1_600, 10, 32);
+        (exploration.first_actions, exploration.start) = (400, 25_600);
+        exploration.afforded = [0.8, 0.0];
+        paper.measured.varied = false;
+        paper.weights.decay = 1e-5;
+        paper
     }
 }
 

@@ -9,12 +9,11 @@ use sortie_nn::gradient_check::assert_gradient;
 use sortie_nn::optimise::AdamRules;
 use sortie_nn::tape::Tape;
 
-use super::lessons::Update;
+use super::method::Update;
 use super::{AffordancesConfig, Config, MetaConfig, ReturnsConfig};
 use crate::options::tests::{Moment, at, greedy, keep, kept, values, world};
 use crate::options::{
-    Finished, Lesson, Mask, NONE, Note, OptionPlace, QNetwork, Replay, ReplayConfig, course,
-    returns,
+    Finished, Lesson, Mask, NONE, Next, Note, OptionPlace, QNetwork, Replay, ReplayConfig, returns,
 };
 use crate::pictures::{Body, Heads, NetworkShape, Shown};
 
@@ -220,7 +219,6 @@ fn an_update_of_the_meta_controller_is_that_of_a_naive_list() {
         let mut q = scene.meta_controller();
         let options: Vec<_> = (0..10).map(|number| ((0, number), 0.3 * number as f32)).collect();
         scene.replay.correct_options(options.into_iter());
-        let rules = scene.config.returns.course_rules(&scene.config.meta, GOALS);
         let (mut random, mut drawn) = (generator(9), Vec::new());
         while drawn.len() < scene.config.meta.batch {
             drawn.extend(scene.draw_option(&mut random));
@@ -229,7 +227,7 @@ fn an_update_of_the_meta_controller_is_that_of_a_naive_list() {
         let (mut loss, mut errors, mut hidden) = (0.0, Vec::new(), 0);
         for (option, lesson) in &drawn {
             let head = (lesson.is_mirrored, 0);
-            let course = course(&scene.replay, *option, rules).unwrap();
+            let course = scene.config.course(&scene.replay, *option, GOALS).unwrap();
             let follows = course.next.map_or(0.0, |next| {
                 let [mut chosen, worth] = scene.values(&q, next.place, head);
                 let any = greedy(&chosen);
@@ -433,4 +431,103 @@ fn chances_change_as_published() {
         assert!(near(oracle[0], want[0]) && near(oracle[1], want[1]), "{step} {oracle:?}");
         assert!(near(none[0], learned[0]) && none[1] == 0.0, "{step} {none:?}");
     }
+}
+
+fn next(number: usize, discount: f32, mask: u32) -> Option<Next> {
+    Some(Next { place: at(number), discount, mask })
+}
+
+/// Returns of so many options.
+fn courses(
+    options: usize,
+    [discount, step_discount]: [f32; 2],
+    time_outs: bool,
+    cost: f32,
+) -> Config {
+    let Config { returns, meta, .. } = Config::default();
+    let returns = ReturnsConfig { time_outs, cost, relabel: true, logarithm: false, ..returns };
+    let meta = MetaConfig { options, discount, step_discount, ..meta };
+    Config { returns, meta, ..Config::default() }
+}
+
+#[test]
+fn options_are_followed_to_the_end_of_their_episode() {
+    let mut replay = kept(&[Moment::default(); 40]);
+    let mut option =
+        Finished { start: at(0), steps: 4, goal: 0, reached: NONE, mask: 0b101, end: End::Open };
+    for (reached, end) in
+        [(0, End::Open), (NONE, End::Open), (2, End::Over), (1, End::Open), (NONE, End::TimedOut)]
+    {
+        (option.reached, option.end) = (reached, end);
+        replay.finish(option);
+        option.start = option.start.after(4);
+    }
+    let config = courses(2, [0.5, 1.0], true, 0.0);
+    let found = |number, relabel| {
+        let mut config = config.clone();
+        config.returns.relabel = relabel;
+        let course = config.course(&replay, (0, number), 3)?;
+        Some((course.goal, course.reward, course.next))
+    };
+    assert_eq!(found(0, true), Some((0, 0.0, next(8, 0.25, 0b101))));
+    assert_eq!(found(1, true), Some((0, 0.5, None)));
+    assert_eq!(found(2, true), Some((2, 1.0, None)));
+    assert_eq!(found(2, false), Some((0, 1.0, None)));
+    assert_eq!(found(3, true), Some((0, 0.0, next(20, 0.25, 0b111))));
+    assert_eq!(found(4, true), Some((0, 0.0, next(20, 0.5, 0b111))));
+    assert_eq!(found(5, true), None);
+    // Solved are the options from the start of the episode on.
+    let mut random = sortie_envs::random::generator(1);
+    let draw = |_| replay.draw_option(1.0, &mut random).unwrap().0.1;
+    let drawn: std::collections::BTreeSet<u32> = (0..50).map(draw).collect();
+    assert_eq!(drawn.into_iter().collect::<Vec<_>>(), [0, 1, 2]);
+}
+
+#[test]
+fn published_courses_pay_for_steps_that_reach_and_end_before_the_time_is_over() {
+    let mut replay = kept(&[Moment::default(); 40]);
+    let mut start = at(0);
+    for (reached, end) in [
+        (0, End::Open),
+        (NONE, End::Open),
+        (1, End::Over),
+        (1, End::Open),
+        (0, End::Open),
+        (2, End::Over),
+    ] {
+        let mask = 0b11;
+        replay.finish(Finished { start, steps: 4, goal: 1, reached, mask, end });
+        start = start.after(4);
+    }
+    let config = courses(10, [0.5, 1.0], false, 0.25);
+    let found = |number| {
+        let course = config.course(&replay, (0, number), 3)?;
+        Some((course.goal, course.reward, course.next))
+    };
+    assert_eq!(found(0), Some((1, -0.25, next(8, 0.25, 0b11))));
+    assert_eq!(found(1), Some((1, 0.0, next(8, 0.5, 0b11))));
+    assert_eq!(found(2), None);
+    assert_eq!(found(3), Some((1, -0.25 - 0.125 + 0.1875, None)));
+    assert_eq!(found(5), Some((2, 0.75, None)));
+}
+
+#[test]
+fn a_course_is_discounted_for_every_option_and_every_step() {
+    let mut replay = kept(&[Moment::default(); 40]);
+    let mut start = at(0);
+    for (steps, reached) in [(3, NONE), (5, 0), (2, NONE), (4, 2)] {
+        let end = if reached == 2 { End::Over } else { End::Open };
+        replay.finish(Finished { start, steps, goal: 1, reached, mask: 0b11, end });
+        start = start.after(steps.into());
+    }
+    let config = courses(2, [0.75, 0.5], true, 0.25);
+    let found = |number| {
+        let course = config.course(&replay, (0, number), 3)?;
+        Some((course.reward, course.next))
+    };
+    // So much is worth what comes behind options of so many steps in all.
+    let worth = |options: i32, steps: i32| 0.75_f32.powi(options) * 0.5_f32.powi(steps);
+    assert_eq!(found(0), Some((-0.25 * worth(1, 3), next(8, worth(2, 8), 0b11))));
+    assert_eq!(found(1), Some((-0.25, next(10, worth(2, 7), 0b11))));
+    assert_eq!(found(2), Some((0.75 * worth(1, 2), None)));
 }

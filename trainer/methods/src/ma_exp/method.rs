@@ -12,8 +12,7 @@ use sortie_learn::{
 };
 
 use super::Config;
-use super::deployed::deployed;
-use super::learner::{Deed, Learner, Rules};
+use super::learner::{Deed, Learner, Rules, deployed};
 use super::table::{ACTIONS, Row, Version};
 use crate::novelty::{Columns, Discounted, Intrinsic, Place, shares};
 

@@ -4,7 +4,6 @@
 //! have been where; one explores for nothing and is deployed. What is known of the world is kept by places, and values
 //! are what follows from it. Frozen policies are tried out while others go on learning, and the best is deployed.
 
-mod deployed;
 mod learner;
 mod method;
 mod table;

@@ -43,17 +43,10 @@ fn looks(learner: &ActorCritic, observations: &Rows, actions: &[u16]) -> Vec<Vec
     };
     let actions: Vec<Vec<u32>> = groups.0.iter().map(of_group).collect();
     let own = &Rows::new();
-    let shown = Shown {
-        observations,
-        states: &[],
-        actions: &actions,
-        normalised: false,
-        own,
-        learns: false,
-    };
+    let shown = Shown { observations, states: &[], actions: &actions, own, learns: false };
     let mut tape = Tape::default();
     let mut pass = tape.begin(&critic_learner.online.values);
-    let values = critic.values(&mut pass, groups, shown, 0..scenes);
+    let values = critic.values(&mut pass, shown, 0..scenes);
     let weights = values.attended.and_then(|attended| pass.attention_weights(attended));
     let Some(weights) = weights.filter(|weights| !weights.is_empty()) else { return Vec::new() };
     let of_row = weights.len() / (agents * scenes);

@@ -32,8 +32,11 @@ pub(super) fn critic(
 /// The layers of a critic that looks at the others.
 #[derive(Clone, Debug)]
 struct Attentive {
+    groups: Groups,
+    layers: Vec<GroupLayers>,
     heads: usize,
-    groups: Vec<GroupLayers>,
+    /// Whether actions are normalised over the batch, as observations are.
+    normalised: bool,
     /// Queries and keys; none where all others count the same, MAAC (Uniform).
     looks: Option<[Linear; 2]>,
     value: Linear,
@@ -58,7 +61,7 @@ impl Attentive {
         p: &mut Parameters,
         random: &mut Generator,
     ) -> Self {
-        let CriticShape { width, heads, .. } = shape;
+        let CriticShape { width, heads, normalised, .. } = shape;
         let named = |kind: &str, group: usize| format!("{kind}.{group}");
         let sized = || groups.0.iter().enumerate();
         let action_encoders: Vec<Linear> = sized()
@@ -81,7 +84,8 @@ impl Attentive {
                 head: linear("head", width, group.actions),
             }
         });
-        Self { heads, groups: layers.collect(), looks, value, shared }
+        let (groups, layers) = (groups.clone(), layers.collect());
+        Self { groups, layers, heads, normalised, looks, value, shared }
     }
 }
 
@@ -90,20 +94,14 @@ impl Critic for Attentive {
         self.shared
     }
 
-    fn values(
-        &self,
-        pass: &mut Pass<'_>,
-        groups: &Groups,
-        shown: Shown<'_>,
-        records: Range<usize>,
-    ) -> Values {
+    fn values(&self, pass: &mut Pass<'_>, shown: Shown<'_>, records: Range<usize>) -> Values {
+        let groups = &self.groups;
         let (mut encoded, mut states) = (Vec::new(), Vec::new());
-        for (index, (layers, group)) in self.groups.iter().zip(&groups.0).enumerate() {
-            let seen = &shown.observations[index];
-            let seen = pass.input(group.inputs(), group.rows(seen, group.inputs(), &records));
+        for (index, (layers, group)) in self.layers.iter().zip(&groups.0).enumerate() {
+            let seen = group.input(pass, &shown.observations[index], &records);
             let actions = &shown.actions[index];
             let mut taken = group.one_hot(&actions[group.range(&records)]);
-            if shown.normalised {
+            if self.normalised {
                 group.moments(actions).normalise(&mut taken);
             }
             let taken = pass.input(group.actions, &taken);
@@ -129,19 +127,15 @@ impl Critic for Attentive {
                 (seen, Some(seen), shown.learns.then(scores))
             }
         };
-        let of_actions =
-            self.groups.iter().zip(&groups.0).zip(states).map(|((layers, group), state)| {
-                let others = pass.rows(of_others, group.places(records.len()));
-                let both = pass.concat(&[state, others]);
-                let hidden = leaky(pass, both, layers.hidden);
-                pass.linear(hidden, layers.head).into()
-            });
-        Values {
-            of_actions: of_actions.collect(),
-            attended,
-            squared_scores,
-            own_actions: Vec::new(),
-        }
+        let all = self.layers.iter().zip(&groups.0).zip(states);
+        let of_actions = all.map(|((layers, group), state)| {
+            let others = pass.rows(of_others, group.places(records.len()));
+            let both = pass.concat(&[state, others]);
+            let hidden = leaky(pass, both, layers.hidden);
+            pass.linear(hidden, layers.head).into()
+        });
+        let of_actions = of_actions.collect();
+        Values { of_actions, attended, squared_scores, ..Values::default() }
     }
 }
 
@@ -175,21 +169,14 @@ mod tests {
     /// The values of each agent's actions in two records, after these actions.
     fn values(kind: CriticKind, actions: [u32; 6]) -> Vec<Vec<f32>> {
         let (groups, observations) = three();
-        let shape = CriticShape { kind, width: 8, heads: 2, sees_own: false };
+        let shape = CriticShape { kind, width: 8, heads: 2, sees_own: false, normalised: false };
         let (critic, weights) = critic(shape, &groups, &mut stream(1, 1, 0));
         let actions = [actions[..4].to_vec(), actions[4..].to_vec()];
         let (observations, own) = (&observations, &Rows::new());
-        let shown = Shown {
-            observations,
-            states: &[],
-            actions: &actions,
-            normalised: false,
-            own,
-            learns: false,
-        };
+        let shown = Shown { observations, states: &[], actions: &actions, own, learns: false };
         let mut tape = Tape::default();
         let mut pass = tape.begin(&weights.values);
-        let values = critic.values(&mut pass, &groups, shown, 0..2);
+        let values = critic.values(&mut pass, shown, 0..2);
         let rows = values.of_actions.iter().flat_map(|of| pass.values(of.earned).chunks_exact(2));
         rows.map(<[f32]>::to_vec).collect()
     }
@@ -197,21 +184,14 @@ mod tests {
     /// The sum of all values of own actions that lie between, and its slopes by them.
     fn relaxed(kind: CriticKind, own: &Rows) -> (f32, Rows) {
         let (groups, observations) = three();
-        let shape = CriticShape { kind, width: 8, heads: 2, sees_own: true };
+        let shape = CriticShape { kind, width: 8, heads: 2, sees_own: true, normalised: false };
         let (critic, weights) = critic(shape, &groups, &mut stream(1, 1, 0));
         let actions = [vec![1, 0, 1, 1], vec![0, 1]];
         let observations = &observations;
-        let shown = Shown {
-            observations,
-            states: &[],
-            actions: &actions,
-            normalised: false,
-            own,
-            learns: false,
-        };
+        let shown = Shown { observations, states: &[], actions: &actions, own, learns: false };
         let mut tape = Tape::default();
         let mut pass = tape.begin(&weights.values);
-        let values = critic.values(&mut pass, &groups, shown, 0..2);
+        let values = critic.values(&mut pass, shown, 0..2);
         let all: Vec<Var> = values.of_actions.iter().map(|of| of.earned).collect();
         let all = pass.stack(&all);
         assert_eq!(pass.size(all), [6, 1]);

@@ -15,6 +15,7 @@ use crate::actor_critic::groups::{Groups, SLOPE, leaky};
 #[derive(Clone, Debug)]
 pub(super) struct Joint {
     kind: CriticKind,
+    groups: Groups,
     /// By groups; one where all have the same.
     layers: Vec<Layers>,
 }
@@ -65,7 +66,7 @@ impl Joint {
             let head = p.linear(&format!("head.{index}"), width, outputs, random);
             Layers { observed, context, own, hidden, head }
         });
-        Self { kind, layers: layers.collect() }
+        Self { kind, groups: groups.clone(), layers: layers.collect() }
     }
 }
 
@@ -74,25 +75,12 @@ impl Critic for Joint {
         [0, 1]
     }
 
-    fn values(
-        &self,
-        pass: &mut Pass<'_>,
-        groups: &Groups,
-        shown: Shown<'_>,
-        records: Range<usize>,
-    ) -> Values {
-        let all: Vec<Var> = groups
-            .0
-            .iter()
-            .zip(shown.observations)
-            .map(|(group, numbers)| {
-                pass.input(group.inputs(), group.rows(numbers, group.inputs(), &records))
-            })
-            .collect();
-        let of_records: Vec<Var> = groups
-            .0
-            .iter()
-            .zip(&all)
+    fn values(&self, pass: &mut Pass<'_>, shown: Shown<'_>, records: Range<usize>) -> Values {
+        let groups = &self.groups;
+        let seen = groups.0.iter().zip(shown.observations);
+        let all: Vec<Var> = seen.map(|(group, seen)| group.input(pass, seen, &records)).collect();
+        let of_records = groups.0.iter().zip(&all);
+        let of_records: Vec<Var> = of_records
             .map(|(group, x)| pass.reshape(*x, group.inputs() * group.agents.len()))
             .collect();
         let whole = pass.concat(&of_records);

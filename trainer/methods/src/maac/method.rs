@@ -10,9 +10,8 @@ use sortie_learn::{Act, Ask, LearnError, Method, Now, Scenes, State, Thought, Tr
 use super::Config;
 use super::attention::thoughts;
 use super::experience::Experience;
-use crate::actor_critic::acting::{Acting, Actors};
+use crate::actor_critic::acting::{Acting, Actors, deployed};
 use crate::actor_critic::critic::Batch;
-use crate::actor_critic::deployed::deployed;
 use crate::actor_critic::groups::Groups;
 use crate::actor_critic::learner::ActorCritic;
 

@@ -13,20 +13,19 @@ mod presets;
 use sortie_learn::configuration::Range::{self, Number, OneOf, Truth, Whole};
 use sortie_learn::configuration::SHARE;
 use sortie_learn::{sections, words};
-
 use sortie_nn::optimise::AdamRules;
 use sortie_nn::random::Generator;
 
+use crate::actor_critic::Rules;
 use crate::actor_critic::acting::{Actors, Inputs};
 use crate::actor_critic::groups::SLOPE;
 use crate::actor_critic::policies::PolicyShape;
-use crate::actor_critic::rules::Rules;
 
 pub use crate::actor_critic::critic::Batch;
 pub use crate::actor_critic::groups::{Draw, Group, Groups, Rows, Running};
 pub use crate::actor_critic::learner::ActorCritic;
 pub use crate::actor_critic::policies::Policies;
-pub use crate::actor_critic::rules::{OwnActions, PolicyValues};
+pub use crate::actor_critic::{OwnActions, PolicyValues};
 pub use method::Maac;
 pub use presets::{COMA, COMA_SAC, DDPG, MAAC, MADDPG, MADDPG_SAC};
 
@@ -151,6 +150,8 @@ pub struct CriticShape {
     pub heads: usize,
     /// Whether it is shown an agent's own action as well, and says what that is worth instead of each.
     pub sees_own: bool,
+    /// Whether what it is shown is normalised over the batch.
+    pub normalised: bool,
 }
 
 words! {
@@ -202,8 +203,10 @@ impl Config {
 
     /// The critic's sizes.
     pub fn critic_shape(&self) -> CriticShape {
-        let NetworkConfig { critic: kind, critic_width: width, heads, .. } = self.network;
-        CriticShape { kind, width, heads, sees_own: self.update.own_actions == OwnActions::Relaxed }
+        let NetworkConfig { critic: kind, critic_width: width, heads, normalised, .. } =
+            self.network;
+        let sees_own = self.update.own_actions == OwnActions::Relaxed;
+        CriticShape { kind, width, heads, sees_own, normalised }
     }
 
     /// Critic and policies before their first update.

@@ -24,7 +24,6 @@ pub(super) struct Lesson {
 /// How a batch is learned from.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rules {
-    /// Its decisions.
     pub(super) decisions: usize,
     /// How far chances may move.
     pub(super) clip: f32,

@@ -1,22 +1,24 @@
 //! Proximal policy optimisation as a [`Method`].
 
 use sortie_envs::random::shuffle;
-use sortie_envs::{Environment, Random, Step};
+use sortie_envs::{ActionSet, Environment, Random, Step, members};
 use sortie_learn::export::DeployedAgents;
 use sortie_learn::learner::{By, Rules as Following};
-use sortie_learn::networks::draw;
+use sortie_learn::networks::{best, draw};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports, UpdateReport};
 use sortie_learn::session::Opening;
 use sortie_learn::trajectory::{Capacity, End, Place, Widths};
-use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Trajectories, Transition};
+use sortie_learn::{
+    Act, Ask, LearnError, Learner, Method, Now, Scenes, State, Trajectories, Transition,
+};
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::layers::normalise::Moments;
 use sortie_nn::schedule::linear;
+use sortie_nn::tape::Tape;
 
-use super::acting::{Acting, Greedy};
 use super::lesson::{Lesson, Rules, advantages};
-use super::networks::Network;
+use super::networks::{Network, Shown};
 use super::{Config, ReturnsConfig, UpdateConfig};
 
 /// States of a lesson: so many rows fit into the processor's nearest cache.
@@ -224,5 +226,62 @@ impl Method for Mappo {
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
         Ok(self.actor.deployed(&self.policy.average))
+    }
+}
+
+/// Buffers for the decisions of any number of teams at once.
+#[derive(Debug, Default)]
+struct Acting {
+    shown: Shown,
+    tape: Tape,
+}
+
+impl Acting {
+    /// Writes `[scenes, A]` actions, each of them chosen by an agent's scores, what is available to it, and its instance.
+    fn act(
+        &mut self,
+        (actor, weights): (&Network, &[f32]),
+        scenes: &Scenes<'_>,
+        actions: &mut [u16],
+        mut choose: impl FnMut(&[f32], ActionSet, usize) -> usize,
+    ) {
+        let Self { shown, tape } = self;
+        let team = scenes.environment.spec().shape.agents;
+        let mut due = Vec::new();
+        shown.clear();
+        for (place, scene) in scenes.scenes.iter().enumerate() {
+            let acting = shown.push(scenes.environment, scene.state);
+            let actions = &mut actions[place * team..][..team];
+            // Who does not act has nothing to choose from.
+            let open = shown.latest().iter().map(|open| open.trailing_zeros() as u16);
+            actions.iter_mut().zip(open).for_each(|(action, open)| *action = open);
+            let chooses = |agent| (place * team + agent, scene.instance);
+            due.extend(members(acting.into()).map(chooses));
+        }
+        if due.is_empty() {
+            return;
+        }
+        shown.finish(scenes.environment.spec());
+        let mut pass = tape.begin(weights);
+        let scores = actor.numbers(&mut pass, shown);
+        let rows = pass.values(scores).chunks_exact(pass.size(scores)[1]);
+        for ((scores, open), (place, instance)) in rows.zip(shown.available()).zip(due) {
+            actions[place] = choose(scores, *open, instance) as u16;
+        }
+    }
+}
+
+/// Agents that take the best action that they know.
+#[derive(Debug)]
+struct Greedy<'a> {
+    /// The actor and its weights.
+    network: (&'a Network, &'a [f32]),
+    acting: Acting,
+}
+
+impl Act for Greedy<'_> {
+    fn act(&mut self, Ask { scenes, actions, .. }: Ask<'_>) -> Result<(), LearnError> {
+        self.acting.act(self.network, scenes, actions, |scores, open, _| best(scores, open));
+        Ok(())
     }
 }

@@ -4,7 +4,6 @@
 //! How good a decision was says a critic: of MAPPO it values the state (Yu et al. 2022), of IPPO what the agent itself sees
 //! (de Witt et al. 2020).
 
-mod acting;
 mod lesson;
 mod method;
 mod networks;

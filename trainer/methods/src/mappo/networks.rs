@@ -10,8 +10,7 @@ use sortie_nn::random::Generator;
 use sortie_nn::tape::{Parameters, Pass, Var};
 
 use super::{NetworkConfig, Sees};
-use crate::actor_critic::acting::{Actors, Inputs};
-use crate::actor_critic::deployed::deployed;
+use crate::actor_critic::acting::{Actors, Inputs, deployed};
 use crate::actor_critic::groups::{Group, Groups};
 use crate::actor_critic::policies::{Policies, PolicyShape};
 

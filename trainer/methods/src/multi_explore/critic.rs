@@ -9,20 +9,10 @@ use sortie_nn::tape::{Linear, Parameters, Pass};
 use crate::actor_critic::critic::{Critic, Shown, Value, Values};
 use crate::actor_critic::groups::Groups;
 
-/// Sizes of a critic.
-#[derive(Clone, Debug, PartialEq)]
-pub struct HeadCriticShape {
-    /// Numbers of a state.
-    pub state: usize,
-    /// Width of its layers.
-    pub width: usize,
-    /// By heads: whether they are paid a reward of their own.
-    pub paid: Vec<bool>,
-}
-
 /// A critic's layers; agents are each a group of their own.
 #[derive(Clone, Debug)]
-pub struct HeadCritic {
+pub(super) struct HeadCritic {
+    groups: Groups,
     encoder: Linear,
     /// By agents and heads: of the team's reward, and of the head's own.
     valuers: Vec<(Layers, Option<Layers>)>,
@@ -36,44 +26,40 @@ struct Layers {
 }
 
 impl HeadCritic {
-    /// Draws the first weights.
-    pub fn new(
-        shape: &HeadCriticShape,
+    /// Draws the first weights of layers of such a width over so many numbers of a state; says which heads are paid a reward of
+    /// their own.
+    pub(super) fn new(
+        [state, width]: [usize; 2],
+        paid: &[bool],
         groups: &Groups,
         random: &mut Generator,
     ) -> (Self, Parameters) {
         let mut parameters = Parameters::default();
-        let width = shape.width;
-        let encoder = parameters.linear("encoder", shape.state, width, random);
+        let encoder = parameters.linear("encoder", state, width, random);
         let all: usize = groups.0.iter().map(|group| group.actions).sum();
         let mut valuers = Vec::new();
         for (agent, group) in groups.0.iter().enumerate() {
-            for (head, is_paid) in shape.paid.iter().enumerate() {
+            for (head, is_paid) in paid.iter().enumerate() {
                 let mut layers = |kind: &str| {
                     let name = |part: &str| format!("{kind}.{head}.{agent}.{part}");
-                    let inputs = [width, all - group.actions];
+                    let others = all - group.actions;
                     // The parts are drawn as one layer is.
-                    let bound = 1.0 / ((inputs[0] + inputs[1]) as f32).sqrt();
-                    let mut part = |what: &str, shape: &[usize]| {
-                        parameters.tensor(&name(what), shape, bound, random)
+                    let bound = 1.0 / ((width + others) as f32).sqrt();
+                    let mut part = |part: &str, input: usize| {
+                        let shape = LinearShape { input, output: width };
+                        let weight = parameters.tensor(&name(part), &[width, input], bound, random);
+                        Linear { shape, weight, bias: None }
                     };
-                    let weights = [
-                        part("state.weight", &[width, inputs[0]]),
-                        part("others.weight", &[width, inputs[1]]),
-                    ];
-                    let biases = [Some(part("state.bias", &[width])), None];
-                    let first = std::array::from_fn(|part| Linear {
-                        shape: LinearShape { input: inputs[part], output: width },
-                        weight: weights[part],
-                        bias: biases[part],
-                    });
+                    let mut first = [part("state.weight", width), part("others.weight", others)];
+                    let bias = parameters.tensor(&name("state.bias"), &[width], bound, random);
+                    first[0].bias = Some(bias);
                     let last = parameters.linear(&name("last"), width, group.actions, random);
                     Layers { first, last }
                 };
                 valuers.push((layers("team"), is_paid.then(|| layers("own"))));
             }
         }
-        (Self { encoder, valuers }, parameters)
+        (Self { groups: groups.clone(), encoder, valuers }, parameters)
     }
 }
 
@@ -85,24 +71,19 @@ impl Critic for HeadCritic {
         [(input + 1) * output, served.sum()]
     }
 
-    fn values(
-        &self,
-        pass: &mut Pass<'_>,
-        groups: &Groups,
-        shown: Shown<'_>,
-        records: Range<usize>,
-    ) -> Values {
+    fn values(&self, pass: &mut Pass<'_>, shown: Shown<'_>, records: Range<usize>) -> Values {
         let columns = self.encoder.shape.input;
         let states = &shown.states[records.start * columns..records.end * columns];
         let state = pass.input(columns, states);
         let state = pass.linear_rectified(state, self.encoder);
-        let heads = self.valuers.len() / groups.0.len();
+        let groups = &self.groups.0;
+        let heads = self.valuers.len() / groups.len();
         let valuers = self.valuers.iter().enumerate().map(|(index, (team, own))| {
             let (agent, head) = (index / heads, index % heads);
             // A one for each action of the others, among zeros.
             let columns = team.first[1].shape.input;
             let (mut others, mut first) = (vec![0.0; records.len() * columns], 0);
-            for (other, group) in groups.0.iter().enumerate().filter(|(other, _)| *other != agent) {
+            for (other, group) in groups.iter().enumerate().filter(|(other, _)| *other != agent) {
                 let taken = &shown.actions[other * heads + head][records.clone()];
                 for (row, action) in others.chunks_exact_mut(columns).zip(taken) {
                     row[first + *action as usize] = 1.0;

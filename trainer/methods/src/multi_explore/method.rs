@@ -14,9 +14,8 @@ use sortie_nn::tape::Tape;
 
 use super::Config;
 use super::meta::{MetaPolicy, Moments};
-use crate::actor_critic::acting::{Acting, Actors, Inputs, scores_of, show};
+use crate::actor_critic::acting::{Acting, Actors, Inputs, deployed, scores_of, show};
 use crate::actor_critic::critic::Batch;
-use crate::actor_critic::deployed::deployed;
 use crate::actor_critic::groups::best;
 use crate::actor_critic::learner::ActorCritic;
 use crate::novelty::{CELLS, Columns, Counts, Discounted, Intrinsic};

@@ -7,20 +7,19 @@ mod method;
 use sortie_envs::{Random, Spec};
 use sortie_learn::configuration::Range::{self, Number, OneOf, Truth, Whole};
 use sortie_learn::configuration::SHARE;
-use sortie_learn::{sections, words};
+use sortie_learn::sections;
+use sortie_nn::optimise::AdamRules;
 use toml::Table;
 
-use sortie_nn::optimise::AdamRules;
-
-use crate::actor_critic::rules::Rules;
+use crate::actor_critic::Rules;
 use crate::novelty::{Columns, Intrinsic, Types};
+use critic::HeadCritic;
 
 pub use crate::actor_critic::critic::Batch;
 pub use crate::actor_critic::groups::{Draw, Group, Groups, Rows};
 pub use crate::actor_critic::learner::ActorCritic;
 pub use crate::actor_critic::policies::{Policies, PolicyShape};
-pub use crate::actor_critic::rules::{OwnActions, PolicyValues};
-pub use critic::{HeadCritic, HeadCriticShape};
+pub use crate::actor_critic::{OwnActions, PolicyValues};
 pub use meta::{MetaPolicy, Moments};
 pub use method::MultiExplore;
 
@@ -36,7 +35,7 @@ sections! {
 
     above "What is learned." {
         /// Networks, as published, which tells this file from those of the preset `fast`.
-        learner: Learner = Learner::Networks, OneOf(Learner::WORDS);
+        learner: String = "networks".to_owned(), OneOf(&["networks"]);
     }
 
     /// What is explored for: policies and values for each type of intrinsic reward.
@@ -118,14 +117,6 @@ sections! {
     }
 }
 
-words! {
-    /// What this preset learns.
-    Learner {
-        /// Networks, as published.
-        Networks = "networks",
-    }
-}
-
 /// Whether a setup has this learner.
 pub(crate) fn is_networks(own: &Table) -> bool {
     own.contains_key("learner")
@@ -148,11 +139,11 @@ impl Config {
         random: &mut Random,
     ) -> ActorCritic {
         let (network, heads) = (&self.network, self.heads());
-        let paid = heads.iter().map(Option::is_some).collect();
-        let critic = HeadCriticShape { state, width: network.critic_width, paid };
+        let paid: Vec<bool> = heads.iter().map(Option::is_some).collect();
         let widths = [network.base_width, network.head_width];
         let policies = PolicyShape { widths, heads: heads.len(), slope: 0.0 };
-        let (critic, weights) = HeadCritic::new(&critic, &groups, random);
+        let sizes = [state, network.critic_width];
+        let (critic, weights) = HeadCritic::new(sizes, &paid, &groups, random);
         let policies = Policies::new(policies, &groups, random);
         let critic = (Box::new(critic) as Box<_>, weights);
         ActorCritic::new(self.rules(), groups, critic, policies, false, threads)

@@ -26,7 +26,7 @@ pub(crate) use learning::{Lesson, Lessons, QNetwork};
 pub(crate) use play::{Actors, Chances, Chooser, Recorder};
 pub use play::{Mask, MaskCounts, Measured};
 pub(crate) use replay::{Finished, NONE, Note, OptionPlace, Replay};
-pub(crate) use returns::{Course, CourseRules, Next, Paid, ReturnRules, course, returns};
+pub(crate) use returns::{Next, Paid, ReturnRules, returns};
 
 section! {
     /// What is kept, and how much of it an update of the controller sees.

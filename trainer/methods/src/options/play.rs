@@ -78,7 +78,6 @@ pub(crate) struct Actors<'a> {
 /// Networks, weights and rules by which goals are chosen.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Chooser<'a> {
-    /// Where the mask comes from.
     pub(crate) mask: Mask,
     /// Likelihood from which on a milestone counts as afforded.
     pub(crate) threshold: f32,

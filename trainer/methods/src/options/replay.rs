@@ -52,7 +52,6 @@ pub(crate) struct Replay {
     options: Vec<(u32, VecDeque<Finished>)>,
     /// By milestones, options that reached them.
     reached: Vec<VecDeque<OptionPlace>>,
-    /// Options of episodes that were solved.
     solved: VecDeque<OptionPlace>,
     priorities: Option<ByPriority>,
 }

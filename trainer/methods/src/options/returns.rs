@@ -1,15 +1,14 @@
-//! What steps and options led to: returns, and where values are looked up behind them.
+//! What steps led to: returns, and where values are looked up behind them.
 
 use sortie_learn::trajectory::{End, Place};
 
-use super::replay::{NONE, Note, OptionPlace, Replay};
+use super::replay::{Note, Replay};
 
 /// How steps become returns.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ReturnRules {
     /// Steps before a value is looked up.
     pub(crate) steps: u8,
-    /// Discount per step.
     pub(crate) discount: f32,
     /// Whether actions that change nothing are worth nothing.
     pub(crate) no_operations: bool,
@@ -73,84 +72,6 @@ pub(crate) fn returns(
         }
     }
     None
-}
-
-/// How options become returns.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct CourseRules {
-    /// Options before a value is looked up.
-    pub(crate) options: usize,
-    /// Discount per option.
-    pub(crate) discount: f32,
-    /// Discount per environment step of an option, besides.
-    pub(crate) step_discount: f32,
-    /// Whether options behind which time was over, or nothing could be reached any more, are learned from; else what comes
-    /// before them ends where they begin.
-    pub(crate) time_outs: bool,
-    /// What the task is worth, and what a step that reached something else costs.
-    pub(crate) worth: f32,
-    pub(crate) cost: f32,
-    /// Whether an option that fulfilled the task counts as meant to.
-    pub(crate) relabel: bool,
-    /// How many there are; the last is the task.
-    pub(crate) milestones: usize,
-}
-
-/// What some options from one on led to.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Course {
-    pub(crate) start: Place,
-    /// The goal that counts as chosen.
-    pub(crate) goal: u8,
-    /// What was earned.
-    pub(crate) reward: f32,
-    /// Where a value is looked up, and the milestones that could be chosen there.
-    pub(crate) next: Option<Next>,
-}
-
-/// What the options of an episode from one on led to; none where that is not known yet.
-pub(crate) fn course(
-    replay: &Replay,
-    (instance, number): OptionPlace,
-    rules: CourseRules,
-) -> Option<Course> {
-    let CourseRules { milestones, relabel, .. } = rules;
-    let task = milestones as u8 - 1;
-    let first = *replay.option((instance, number))?;
-    let goal = if relabel && first.reached == task { task } else { first.goal };
-    let all = u32::MAX >> (32 - milestones);
-    let (mut reward, mut discount, mut next) = (0.0, 1.0, None);
-    for ahead in 0..rules.options as u32 {
-        let Some(option) = replay.option((instance, number + ahead)) else { break };
-        let over = |reward| Course { start: first.start, goal, reward, next: None };
-        if option.reached == task {
-            return Some(over(reward + discount * rules.worth));
-        }
-        if option.end != End::Open && !rules.time_outs {
-            if ahead == 0 {
-                return None;
-            }
-            next = Some((option.start, option.mask));
-            break;
-        }
-        if option.reached != NONE {
-            reward -= discount * rules.cost;
-        }
-        if option.end == End::Over {
-            return Some(over(reward));
-        }
-        discount *= rules.discount * rules.step_discount.powi(option.steps.into());
-        // The mask of an option that still runs is not known yet, nor one behind the last.
-        next = Some((option.start.after(option.steps.into()), all));
-        if option.end == End::TimedOut {
-            break;
-        }
-    }
-    let (place, mask) = next?;
-    let following = replay.option((instance, number + rules.options as u32));
-    let mask = following.filter(|option| option.start == place).map_or(mask, |option| option.mask);
-    let next = Some(Next { place, discount, mask });
-    replay.steps.has(place).then_some(Course { start: first.start, goal, reward, next })
 }
 
 #[cfg(test)]

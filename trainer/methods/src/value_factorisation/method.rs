@@ -261,10 +261,9 @@ impl Method for ValueFactorisation {
     }
 
     fn rates(&self, now: Now) -> Rates {
-        Rates {
-            epsilon: self.config.exploration.epsilon_at(now.env_steps),
-            learning_rate: self.config.optimiser.learning_rate_at(now.env_steps, now.of),
-        }
+        let epsilon = self.config.exploration.epsilon_at(now.env_steps);
+        let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+        Rates { epsilon, learning_rate }
     }
 
     fn team(&self) -> Box<dyn Act + '_> {

@@ -2,16 +2,17 @@
 //!
 //! Agents share one network; a mixer makes the value of the team from the utilities of their chosen
 //! actions, so that both learn from the team's reward. REFIL learns besides from imagined utilities, for
-//! which each agent sees only its part of a random partition, or only the rest.
+//! which each agent sees only its part of a random partition, or only the rest: a partition says for each
+//! agent which entities are in its part (dissertation section 5.4).
 
 mod loss;
 mod method;
-mod partitions;
 mod presets;
 #[cfg(test)]
 mod tests;
 
-use sortie_envs::{Shape, Spec};
+use sortie_envs::random::{chance, unit};
+use sortie_envs::{EntitySet, Random, Shape, Spec};
 use sortie_learn::configuration::Range::{self, OneOf, Positive, Truth, Whole};
 use sortie_learn::configuration::{
     EXPLORATION, ExplorationConfig, OPTIMISER, OptimiserConfig, SHARE,
@@ -25,7 +26,6 @@ use sortie_nn::layers::split_attention::HEADS;
 
 pub use loss::{Lesson, Losses, NetworkShape, Networks};
 pub use method::ValueFactorisation;
-pub use partitions::Partitions;
 pub use presets::{QMIX, REFIL, VDN};
 
 const SIZE: i64 = 20_000_000;
@@ -141,48 +141,70 @@ words! {
     }
 }
 
+words! {
+    /// Where the partitions of imagined utilities come from.
+    Partitions {
+        /// Nothing is imagined (A-QMIX, VDN).
+        None = "none",
+        /// Drawn for every use of a state (REFIL): `p` uniform, then each entity with probability `p`.
+        Drawn = "drawn",
+        /// Who truly belongs together, as the environment knows (fixed oracle).
+        Companions = "companions",
+        /// Who truly belongs together and shares the drawn part (randomised oracle).
+        DrawnCompanions = "drawn-companions",
+    }
+}
+
+impl Partitions {
+    /// Whether anything is imagined.
+    pub fn imagines(self) -> bool {
+        self != Self::None
+    }
+
+    /// Whether it is about who truly belongs together.
+    pub fn needs_companions(self) -> bool {
+        matches!(self, Self::Companions | Self::DrawnCompanions)
+    }
+
+    /// Draws one part of so many entities, as bits, where the partition is one that is drawn.
+    pub fn draw(self, entities: usize, random: &mut Random) -> EntitySet {
+        if matches!(self, Self::None | Self::Companions) {
+            return 0;
+        }
+        let probability = unit(random);
+        (0..entities)
+            .fold(0, |part, entity| part | EntitySet::from(chance(random, probability)) << entity)
+    }
+
+    /// The entities in the part of one agent, given the drawn part and the agent's companions.
+    pub fn within(self, part: EntitySet, companions: EntitySet, agent: usize) -> EntitySet {
+        let drawn = if part >> agent & 1 == 1 { part } else { !part };
+        match self {
+            Self::None => EntitySet::MAX,
+            Self::Drawn => drawn,
+            Self::Companions => companions,
+            Self::DrawnCompanions => drawn & companions,
+        }
+    }
+}
+
 impl Config {
     /// The preset `paper` of A-QMIX: the dissertation's, as its chapter 5 learns Group Matching.
     pub fn paper() -> Self {
-        Self {
-            network: NetworkConfig {
-                width: 64,
-                active_inputs: 0,
-                skip: false,
-                memory: 0,
-                head: AimedHead::Pointing,
-            },
-            mixer: MixerConfig {
-                kind: MixerKind::Linear,
-                hypernetworks: Hypernetworks::Separate,
-                mixing: 32,
-                weights_sum: WeightsSum::One,
-            },
-            imagination: ImaginationConfig { partitions: Partitions::None, share: 0.5 },
-            returns: ReturnsConfig { steps: 1, discount: 0.99, scale: 1.0 },
-            replay: ReplayConfig {
-                unit: Unit::Episodes,
-                capacity: 2_000,
-                batch: 32,
-                steps_per_update: 0,
-                symmetries: false,
-            },
-            exploration: ExplorationConfig {
-                steps: 5_000,
-                spread: vec![1.0],
-                ..ExplorationConfig::default()
-            },
-            optimiser: OptimiserConfig {
-                learning_rate: 5e-4,
-                learning_rate_end: 5e-4,
-                decay_from: 1.0,
-                clip: 10.0,
-                target_rate: 1.0,
-                average_rate: 1.0,
-                ..OptimiserConfig::default()
-            },
-            update: UpdateConfig { rule: Rule::RmsProp, target_every: 200 },
-        }
+        let mut paper = Self::default();
+        let Self { network, mixer, returns, replay, exploration, optimiser, update, .. } =
+            &mut paper;
+        (network.width, network.active_inputs, network.skip) = (64, 0, false);
+        mixer.hypernetworks = Hypernetworks::Separate;
+        (returns.steps, returns.discount) = (1, 0.99);
+        (replay.unit, replay.capacity, replay.batch) = (Unit::Episodes, 2_000, 32);
+        (replay.steps_per_update, replay.symmetries) = (0, false);
+        exploration.spread = vec![1.0];
+        (optimiser.learning_rate, optimiser.learning_rate_end) = (5e-4, 5e-4);
+        (optimiser.decay_from, optimiser.clip) = (1.0, 10.0);
+        (optimiser.target_rate, optimiser.average_rate) = (1.0, 1.0);
+        (update.rule, update.target_every) = (Rule::RmsProp, 200);
+        paper
     }
 
     /// The preset `fast` where actions are aimed at entities, as in battles.

@@ -342,3 +342,30 @@ fn without_imagination_lambda_is_none_and_a_lambda_of_nothing_changes_no_gradien
         }
     }
 }
+
+/// Partitions alone.
+mod partitions {
+    use sortie_nn::random::stream;
+
+    use super::*;
+
+    #[test]
+    fn a_partition_has_two_parts_that_do_not_meet() {
+        let mut generator = stream(6, 1, 0);
+        let mut sizes = [0; 6];
+        for _ in 0..6000 {
+            let part = Partitions::Drawn.draw(5, &mut generator);
+            sizes[part.count_ones() as usize] += 1;
+            for agent in 0..5 {
+                let within = Partitions::Drawn.within(part, 0, agent);
+                assert_eq!(within >> agent & 1, 1);
+                for other in 0..5 {
+                    let seen = Partitions::Drawn.within(part, 0, other) >> agent & 1;
+                    assert_eq!(within >> other & 1, seen);
+                }
+            }
+        }
+        // With p uniform every size is as likely.
+        assert!(sizes.iter().all(|count| (850..1150).contains(count)), "{sizes:?}");
+    }
+}

@@ -2,7 +2,7 @@
 
 mod aiming;
 mod allocator;
-mod alma_golden;
+#[path = "../../src/golden_tests/files.rs"]
 mod files;
 mod hal;
 mod ma_exp;

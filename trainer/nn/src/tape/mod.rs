@@ -70,6 +70,13 @@ pub struct Tape {
     scratch: Vec<f32>,
 }
 
+impl Clone for Tape {
+    /// A tape of its own: what stands on one is forgotten with the next pass.
+    fn clone(&self) -> Self {
+        Self::default()
+    }
+}
+
 impl fmt::Debug for Tape {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Tape({} steps, {} numbers)", self.nodes.len(), self.used)

@@ -4,11 +4,10 @@ use sortie_learn::Now;
 use sortie_learn::play::Play;
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::EpisodeCounts;
-use sortie_methods::learners::windows::allocation::AllocationLevel;
+use sortie_methods::learners::windows::allocation::{AllocationLearning, AllocationLevel};
 use sortie_methods::learners::windows::low_level::LowLevel;
 use sortie_methods::learners::windows::{
-    Config, Replay, SampleShape, Shaping, WindowLearner, WindowShape, Windows, cut_windows,
-    draw_episodes,
+    Config, Replay, SampleShape, WindowLearner, WindowShape, Windows, cut_windows, draw_episodes,
 };
 use sortie_nn::random::Generator;
 
@@ -70,12 +69,12 @@ impl Levels {
         let sizes = WindowShape::of(environment.spec());
         let mut weights = generator(seed, Purpose::Weights, 0);
         let mut low_level = LowLevel::new(config.low_level.clone(), sizes, &mut weights);
-        let mut allocation = AllocationLevel::new(config.allocation_learning(sizes), seed);
+        let mut allocation = AllocationLevel::new(AllocationLearning::of(&config, sizes), seed);
         let mut generator = generator(seed, Purpose::Replay, 0);
         let sample = SampleShape {
             windows: config.learning.windows,
             steps: config.learning.steps,
-            shaping: Shaping::default(),
+            ..SampleShape::default()
         };
         let replay = fill(&config, seed, sample.windows)?;
         let drawn = draw_episodes(&replay, sample.windows, &mut generator, |_| true)

@@ -120,11 +120,11 @@ pub(super) struct Found {
 /// Computes both steps, and writes all that a peer needs to do the same if there is a `path`.
 pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found, Failure> {
     let WindowShape { tasks, agents, .. } = levels.windows.shape;
-    let learning = levels.allocation.learning;
+    let learning = levels.allocation.learning.clone();
     let mut draws = StepDraws::draw(tasks, learning.shape.columns, &mut levels.generator);
     let mut rows = Rows::default();
-    rows.collect(&levels.windows, 0, &learning.rows);
-    let length = rows.len() * learning.proposals * agents * tasks;
+    rows.collect(&levels.windows, 0, &learning.config);
+    let length = rows.len() * learning.config.proposals * agents * tasks;
     let mut gumbel = || {
         let drawn = unit(&mut levels.generator).max(f64::MIN_POSITIVE);
         -(-drawn.ln()).ln() as f32
@@ -143,7 +143,7 @@ pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found,
         low_level: expected(report.loss, report.gradient_norm),
         critic: expected(allocated.critic_loss, allocated.critic_norm),
         policy: expected(
-            allocated.policy_loss - learning.entropy * allocated.entropy,
+            allocated.policy_loss - f64::from(learning.config.entropy) * allocated.entropy,
             allocated.policy_norm,
         ),
         terms: report.terms,
@@ -154,7 +154,7 @@ pub(super) fn compute(levels: &mut Levels, path: Option<&Path>) -> Result<Found,
     let mut tensors = Tensors::default();
     tensors.windows(&levels.windows);
     tensors.rows(&levels.windows, &rows);
-    tensors.floats("noise".into(), &[rows.len(), learning.proposals, agents, tasks], &noise);
+    tensors.floats("noise".into(), &[rows.len(), learning.config.proposals, agents, tasks], &noise);
     for (name, columns) in [
         ("policy", &draws.proposals.policy),
         ("critic", &draws.proposals.critic),
@@ -192,7 +192,7 @@ fn settings(levels: &Levels, [critic, target_critic]: [PopArt; 2]) -> HashMap<St
         ("proposals", config.allocation.proposals as f64),
         ("discount", config.low_level.returns.discount.into()),
         ("clip", config.low_level.clip.into()),
-        ("entropy", allocation.learning.entropy),
+        ("entropy", allocation.learning.config.entropy.into()),
         ("learning_rate", allocation.learning.learning_rate.into()),
         ("mean", online.mean),
         ("variance", online.variance),

@@ -9,21 +9,17 @@ use sortie_learn::learner::{Loss, Rules};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::{Rates, Reports};
 use sortie_learn::session::Opening;
-use sortie_learn::subtasks::{
-    Allocate, AllocatedTeam, AllocatorNetworks, LearnedAllocator, ScriptedAgents, Subtasks,
-    ToAllocate,
-};
+use sortie_learn::subtasks::{Allocate, AllocatedTeam, ScriptedAgents, Subtasks, ToAllocate};
 use sortie_learn::trajectory::{Capacity, Widths};
 use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Trajectories, Transition};
 use sortie_nn::lanes::in_lanes;
 
 use super::Config;
-use super::lesson::{Lesson, Teachers};
-use super::proposer::{Networks, Proposer};
+use super::proposer::{Lesson, Networks, Proposer, Teachers};
 use crate::allocator::deciding::{Asked, Seen};
-use crate::allocator::export::graphs;
 use crate::allocator::method::loss;
 use crate::allocator::network::{Critic, Network};
+use crate::allocator::scripted;
 
 const NOT_DEPLOYED: &str = "what proposes and its critic are measured only; `sortie train allocator` without \
     `--preset paper` learns an allocator that is deployed";
@@ -227,10 +223,9 @@ impl Method for Aql {
     }
 
     fn rates(&self, now: Now) -> Rates {
-        Rates {
-            epsilon: self.config.exploration.epsilon_at(now.env_steps),
-            learning_rate: self.config.optimiser.learning_rate_at(now.env_steps, now.of),
-        }
+        let epsilon = self.config.exploration.epsilon_at(now.env_steps);
+        let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+        Rates { epsilon, learning_rate }
     }
 
     fn team(&self) -> Box<dyn Act + '_> {
@@ -238,20 +233,8 @@ impl Method for Aql {
     }
 
     fn subtasks(&self) -> Option<Subtasks<'_>> {
-        let allocator = LearnedAllocator {
-            allocate: Box::new(self.best()),
-            // Of what proposes; nothing asks for them, as the agents are not deployed.
-            networks: AllocatorNetworks::Pointing(Box::new(|most, contract| {
-                graphs(&self.network, &self.proposing.average, most, contract)
-            })),
-            team_max: None,
-        };
-        Some(Subtasks {
-            agents: Box::new(ScriptedAgents::new(0)),
-            are_seen: true,
-            interval: 1,
-            allocator: Some(allocator),
-        })
+        // The graphs of what proposes; nothing asks for them, as the agents are not deployed.
+        Some(scripted(self.best(), (&self.network, &self.proposing.average)))
     }
 
     fn deployed(&self) -> Result<DeployedAgents<'_>, LearnError> {
@@ -267,10 +250,10 @@ impl Method for Aql {
         self.valuing.state_as(state, |part| format!("critic/{part}"))?;
         state.value("random", &mut self.random)?;
         state.value("learned", &mut self.learned)?;
-        let mut random: Vec<Random> =
-            self.lessons.iter_mut().map(|lesson| lesson.random().clone()).collect();
+        let random = self.lessons.iter().map(|lesson| lesson.random.clone());
+        let mut random: Vec<Random> = random.collect();
         state.value("proposals/random", &mut random)?;
-        self.lessons.iter_mut().zip(random).for_each(|(lesson, random)| *lesson.random() = random);
+        self.lessons.iter_mut().zip(random).for_each(|(lesson, random)| lesson.random = random);
         self.replay.visit(state)
     }
 }

@@ -6,7 +6,6 @@
 //! environment is asked for, so that what the step earns need not be learned; with `critic.target=return` it learns what
 //! the rest of the episode earned.
 
-mod lesson;
 mod method;
 mod proposer;
 #[cfg(test)]
@@ -19,7 +18,7 @@ use sortie_learn::session::Setup;
 use sortie_learn::subtasks::PROPOSALS;
 use sortie_learn::{sections, words};
 
-use super::{NETWORK, NetworkConfig};
+use super::{NETWORK, NetworkConfig, optimiser};
 
 pub(super) use method::Aql;
 
@@ -29,7 +28,7 @@ sections! {
 
     above "What learns." {
         /// Proposals and a critic, which tells this file from those of the preset `fast`.
-        learner: Learner = Learner::Aql, OneOf(Learner::WORDS);
+        learner: String = "aql".to_owned(), OneOf(&["aql"]);
     }
 
     /// Encoder and decoder, of what proposes and of the critic.
@@ -70,22 +69,7 @@ sections! {
     }, EXPLORATION;
 
     /// How the weights of both networks follow the gradient.
-    optimiser: OptimiserConfig = OptimiserConfig {
-        learning_rate: 1e-3,
-        learning_rate_end: 3e-5,
-        decay_from: 0.3,
-        clip: 1.0,
-        average_rate: 0.01,
-        ..OptimiserConfig::default()
-    }, OPTIMISER;
-}
-
-words! {
-    /// What learns.
-    Learner {
-        /// Amortised Q-learning.
-        Aql = "aql",
-    }
+    optimiser: OptimiserConfig = optimiser(), OPTIMISER;
 }
 
 words! {
@@ -108,7 +92,6 @@ words! {
     }
 }
 
-/// The preset `paper`.
 pub(super) fn paper() -> Setup {
     let run = RunConfig {
         steps: 200_000,

@@ -7,8 +7,7 @@ use sortie_learn::{Method, Now};
 use sortie_nn::gradient_check::assert_gradient;
 use sortie_nn::tape::Tape;
 
-use super::lesson::{Lesson, Teachers};
-use super::proposer::{Proposer, Situation};
+use super::proposer::{Lesson, Proposer, Situation, Teachers};
 use super::*;
 use crate::allocator::ALLOCATOR;
 use crate::allocator::deciding::{Asked, Group, Seen};
@@ -168,7 +167,7 @@ fn targets_are_what_was_earned_or_what_the_next_proposal_is_worth() {
         };
         let mut lesson = Lesson::new(&*environment, generator(7));
         let mut prepared = |learns| {
-            *lesson.random() = generator(7);
+            lesson.random = generator(7);
             lesson.prepare(&*environment, teachers(learns), (&method.replay, episode)).unwrap();
             assert!(lesson.taken.made.len() == lesson.targets.len() && lesson.best.made.len() > 0);
             lesson.targets.clone()

@@ -10,7 +10,7 @@ use sortie_learn::subtasks::NO_ACTION;
 use sortie_learn::words;
 use sortie_nn::random::Generator;
 
-use super::layers::UtilityInput;
+use super::utility::UtilityInput;
 
 words! {
     /// How agents and mixer are conditioned on subtasks (dissertation section 7.3 and the comparisons of figure 7.4).
@@ -85,25 +85,14 @@ pub struct TeamBatch {
 }
 
 impl TeamBatch {
-    /// An empty batch.
-    pub fn new(conditioning: Conditioning) -> Self {
-        Self { conditioning, ..Self::default() }
-    }
-
     /// Columns of a row where there are so many subtasks.
     pub fn columns(&self, tasks: usize) -> usize {
         self.columns.unmarked() + self.conditioning.task_columns(tasks)
     }
 
-    /// As [`clear`](Self::clear), for teams that are conditioned on subtasks so.
-    pub fn clear_for(&mut self, conditioning: Conditioning, columns: Columns) {
-        self.conditioning = conditioning;
-        self.clear(columns);
-    }
-
-    /// Forgets all teams, keeps the memory; rows have these columns from here on.
-    pub fn clear(&mut self, columns: Columns) {
-        self.columns = columns;
+    /// Forgets all teams, keeps the memory; those from here on are conditioned on subtasks so, and rows have these columns.
+    pub fn clear(&mut self, conditioning: Conditioning, columns: Columns) {
+        (self.conditioning, self.columns) = (conditioning, columns);
         let targets = columns.targets;
         self.input.clear();
         self.input.aims.aim_at(targets.entities(), targets.pairs());
@@ -262,19 +251,12 @@ impl TeamBatch {
 
 /// Which mark stands for which subtask: the column of subtask t at place t.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TaskOrder(pub(crate) Vec<u16>);
+pub struct TaskOrder(pub Vec<u16>);
 
 impl TaskOrder {
     /// Every subtask has the mark of its number: how agents are deployed.
     pub fn identity(tasks: usize) -> Self {
         Self((0..tasks as u16).collect())
-    }
-
-    /// An order in which column j stands for subtask `tasks[j]`.
-    pub fn of_columns(tasks: &[usize]) -> Self {
-        let mut columns = vec![0; tasks.len()];
-        (0..).zip(tasks).for_each(|(column, task)| columns[*task] = column);
-        Self(columns)
     }
 
     /// Draws an order of so many subtasks and spare marks.
@@ -314,7 +296,7 @@ mod tests {
     #[test]
     fn agents_see_their_team_and_subtask_only() {
         let (seen, mut batch) = (seen(4), TeamBatch::default());
-        batch.clear(COLUMNS);
+        batch.clear(Conditioning::Mask, COLUMNS);
         let (allocation, last) = ([0, 0, 1, UNASSIGNED], [NO_ACTION, 3, NO_ACTION, NO_ACTION]);
         let mut order = Vec::new();
         batch.push_teams(&seen, &allocation, &last, |agent| order.push(agent));
@@ -346,7 +328,7 @@ mod tests {
             .iter()
             .for_each(|row| seen.rows.push_dense(row));
         let mut batch = TeamBatch::default();
-        batch.clear(Columns { targets, ..COLUMNS });
+        batch.clear(Conditioning::Mask, Columns { targets, ..COLUMNS });
         batch.push_teams(&seen, &[0, 1], &[NO_ACTION; 2], |_| ());
         let input = batch.finish();
         let rows: Vec<Vec<_>> = (0..4).map(|row| input.rows.row(row).collect()).collect();
@@ -368,8 +350,8 @@ mod tests {
             (Conditioning::Input, [Some(1), None, Some(0), Some(1)]),
             (Conditioning::None, [None; 4]),
         ] {
-            let mut batch = TeamBatch::new(conditioning);
-            batch.clear(COLUMNS);
+            let mut batch = TeamBatch::default();
+            batch.clear(conditioning, COLUMNS);
             let mut order = Vec::new();
             batch.push_teams(&seen, &[1, UNASSIGNED], &[3, 4], |agent| order.push(agent));
             batch.push_unassigned(&seen, &[1, UNASSIGNED], &[3, 4], |agent| order.push(agent));

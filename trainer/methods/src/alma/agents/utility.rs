@@ -9,9 +9,15 @@
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
-use sortie_learn::networks::Targets;
+use sortie_core::{DecideError, Observation, Policy};
+use sortie_learn::export::{AttentionNetwork, Layer, Layout, Matrix};
+use sortie_learn::networks::{
+    AimView, Aims, Attended, EntityAttention, OwnPass, OwnView, Targets, View,
+};
+use sortie_nn::layers::linear::LinearShape;
+use sortie_nn::layers::{SparseRows, VisibleLists};
 use sortie_nn::random::Generator;
-use sortie_nn::tape::{Parameters, Tensor};
+use sortie_nn::tape::{Linear, Parameters, Pass, Places, Tape, Tensor, Var};
 
 /// Sizes of a utility network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -112,13 +118,6 @@ pub struct UtilityNetwork {
 }
 
 impl UtilityNetwork {
-    /// Draws all weights and biases, see [`UtilityShape::draw`].
-    pub fn initialise(shape: UtilityShape, active_inputs: f32, generator: &mut Generator) -> Self {
-        let mut parameters = Parameters::default();
-        shape.draw(&mut parameters, active_inputs, generator);
-        Self { shape, parameters: parameters.values }
-    }
-
     /// The network, borrowed.
     pub fn view(&self) -> UtilityView<'_> {
         UtilityView { shape: self.shape, parameters: &self.parameters }
@@ -134,13 +133,207 @@ pub struct UtilityView<'a> {
     pub parameters: &'a [f32],
 }
 
+/// What the network looks at: the entities of any number of independent samples.
+///
+/// Query i belongs to row i: the rows of all acting agents come first, then the other entities.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct UtilityInput {
+    /// Features `[rows, D]` of every entity, last actions included.
+    pub rows: SparseRows,
+    /// For each acting agent the rows that it sees, its own among them where it is visible.
+    pub visible: VisibleLists,
+    /// What the actions of acting agents aim at.
+    pub aims: Aims,
+}
+
+impl UtilityInput {
+    /// Forgets all samples, keeps the memory.
+    pub fn clear(&mut self) {
+        self.rows.clear();
+        self.visible.clear();
+        self.aims.clear();
+    }
+
+    /// The same without what is aimed at.
+    pub fn view(&self) -> View<'_> {
+        View { rows: &self.rows, own: &[], lists: &self.visible, imagines: false }
+    }
+}
+
+/// The layers of a utility network, in the order of its tensors.
+#[derive(Clone, Copy, Debug)]
+pub struct UtilityLayers {
+    looking: EntityAttention,
+    out: Linear,
+    fc2: Linear,
+    head: Linear,
+    skip: Option<Linear>,
+    /// Makes the vector that points.
+    pointing: Option<Linear>,
+}
+
+/// What a utility network has made of its input before the head.
+#[derive(Clone, Copy, Debug)]
+pub struct Looked {
+    /// The embeddings of all rows `[rows, E]`, and what each agent attends to, `[agents, E]`.
+    attended: Attended,
+    /// What stands before the head, `[agents, R]`: there memories and strategies come in.
+    pub base: Var,
+}
+
+impl UtilityLayers {
+    /// Those of a network of this shape.
+    pub fn of(shape: UtilityShape) -> Self {
+        let places = &mut Places::default();
+        let UtilityShape { input, width, heads, base, actions, skip, targets } = shape;
+        Self {
+            looking: EntityAttention {
+                embed: places.linear(input, width),
+                queries: places.projection(width, width),
+                keys_values: places.projection(width, 2 * width),
+                heads,
+                absorbs: true,
+            },
+            out: places.linear(width, width),
+            fc2: places.linear(width, base),
+            head: places.linear(base, actions - targets.count),
+            skip: skip.then(|| places.projection(width, width)),
+            pointing: (targets.count > 0).then(|| places.linear(base, targets.reach(width))),
+        }
+    }
+
+    /// Everything before the head.
+    pub fn look(self, t: &mut Pass<'_>, view: View<'_>) -> Looked {
+        let attended = self.looking.attend(t, view);
+        let looked = match self.skip {
+            Some(skip) => {
+                let own = attended.own(t, view);
+                t.linear_sum_rectified([attended.output, own], [self.out, skip])
+            }
+            None => t.linear_rectified(attended.output, self.out),
+        };
+        Looked { attended, base: t.linear_rectified(looked, self.fc2) }
+    }
+
+    /// The utilities `[agents, U]` of what stands before the head.
+    pub fn head(self, t: &mut Pass<'_>, looked: Looked, aims: AimView<'_>) -> Var {
+        let untargeted = t.linear(looked.base, self.head);
+        let Some(pointing) = self.pointing else { return untargeted };
+        let vectors = t.linear(looked.base, pointing);
+        let aimed = aims.point(t, [vectors, looked.attended.embeddings]);
+        t.concat(&[untargeted, aimed])
+    }
+
+    /// The utilities `[agents, U]` of agents without memories and strategies.
+    pub fn utilities(self, t: &mut Pass<'_>, input: &UtilityInput) -> Var {
+        let looked = self.look(t, input.view());
+        self.head(t, looked, input.aims.all())
+    }
+}
+
+impl<'a> UtilityView<'a> {
+    /// The layers, for export.
+    pub fn layers(self) -> AttentionNetwork<'a> {
+        let (shape, values) = (self.shape, self.parameters);
+        let UtilityShape { input, width, heads, base, actions, targets, .. } = shape;
+        let UtilityLayers { looking, out, fc2, head, skip, pointing } = UtilityLayers::of(shape);
+        let whole = |layer: Linear| Layer::of(layer, values, Layout::OutputsFirst);
+        let attention_in = looking.queries.weight..looking.keys_values.weight_range().end;
+        AttentionNetwork {
+            inputs: input,
+            width,
+            heads,
+            base,
+            outputs: actions,
+            fc1: Layer::of(looking.embed, values, Layout::InputsFirst),
+            attention_in: Matrix { values: &values[attention_in], layout: Layout::OutputsFirst },
+            attention_out: whole(out),
+            fc2: Some(whole(fc2)),
+            head: whole(head),
+            skip: skip.map(|skip| whole(skip).weight),
+            pointing: pointing.map(|pointing| targets.deployed(pointing, values)),
+        }
+    }
+}
+
+/// Adds projections that stand behind each other as one tensor, each with so many times as many outputs as inputs.
+pub(crate) fn stacked<const COUNT: usize>(
+    p: &mut Parameters,
+    name: &str,
+    (width, times): (usize, [usize; COUNT]),
+    random: &mut Generator,
+) -> [Linear; COUNT] {
+    let mut whole = p.projection(name, width, times.iter().sum::<usize>() * width, random);
+    times.map(|times| {
+        let own = Linear { shape: LinearShape { input: width, output: times * width }, ..whole };
+        whole.weight = own.weight_range().end;
+        own
+    })
+}
+
+/// Decides with the trainer's own forward pass: what golden observations expect of every engine.
+#[derive(Debug)]
+pub struct NetworkPolicy<'a> {
+    network: UtilityView<'a>,
+    tape: Tape,
+    own: OwnView,
+    /// What the last answer attended to, `[entities, heads]`.
+    attention: Vec<f32>,
+}
+
+impl<'a> NetworkPolicy<'a> {
+    /// Decides with a network.
+    pub fn new(network: UtilityView<'a>) -> Self {
+        let (tape, own) = (Tape::default(), OwnView::default());
+        Self { network, tape, own, attention: Vec::new() }
+    }
+
+    /// What the last answer attended to: every visible entity of `observation`, which must be the one
+    /// that was answered, with its weights `[heads]`; those of one head sum to 1.
+    pub fn attention(
+        &self,
+        observation: &Observation<'_>,
+    ) -> impl Iterator<Item = (usize, &[f32])> {
+        let own = observation.self_index;
+        let visible = observation.visible;
+        let own_first = visible.contains(own).then_some(own);
+        let others: Vec<usize> = visible.iter().filter(|entity| *entity != own).collect();
+        let weights = self.attention.chunks_exact(self.network.shape.heads);
+        own_first.into_iter().chain(others).zip(weights)
+    }
+
+    /// The utilities `[U]` of an agent's actions.
+    ///
+    /// # Errors
+    /// It is shown too few features.
+    pub fn utilities(&mut self, observation: &Observation<'_>) -> Result<Vec<f32>, DecideError> {
+        let Self { network, tape, own, attention } = self;
+        let UtilityShape { input, actions, targets, .. } = network.shape;
+        own.look(observation, [input - actions, actions], targets)?;
+        let (layers, view) = (UtilityLayers::of(network.shape), own.batch.seen());
+        let mut pass = tape.begin(network.parameters);
+        let looked = layers.look(&mut pass, view);
+        let utilities = layers.head(&mut pass, looked, own.batch.aims(view));
+        attention.clear();
+        attention.extend(pass.attention_weights(looked.attended.output).unwrap_or_default());
+        Ok(pass.values(utilities).to_vec())
+    }
+
+    /// The same as a policy.
+    pub fn deployed(mut self) -> impl Policy + use<'a> {
+        let actions = self.network.shape.actions;
+        let utilities = move |seen: &Observation<'_>, _: &mut [f32]| self.utilities(seen);
+        OwnPass { actions, memory: 0, utilities }
+    }
+}
+
 /// The transpose of a row-major matrix.
 pub fn transpose(matrix: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     (0..columns).flat_map(|j| (0..rows).map(move |i| matrix[i * columns + j])).collect()
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use sortie_learn::random::{Purpose, generator};
 
     use super::*;
@@ -156,8 +349,15 @@ mod tests {
     };
     const SKIPPING: UtilityShape = UtilityShape { skip: true, ..SHAPE };
 
+    /// A network whose weights were drawn with a number of their own.
+    pub(crate) fn network(shape: UtilityShape, active_inputs: f32, number: u64) -> UtilityNetwork {
+        let mut parameters = Parameters::default();
+        shape.draw(&mut parameters, active_inputs, &mut generator(number, Purpose::Weights, 0));
+        UtilityNetwork { shape, parameters: parameters.values }
+    }
+
     fn drawn(shape: UtilityShape) -> UtilityNetwork {
-        UtilityNetwork::initialise(shape, 3.0, &mut generator(1, Purpose::Weights, 0))
+        network(shape, 3.0, 1)
     }
 
     #[test]

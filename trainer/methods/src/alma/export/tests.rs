@@ -2,11 +2,10 @@
 
 use sortie_learn::export::attention::ExportError;
 use sortie_learn::export::{TeamValueExport, team_value_onnx};
-use sortie_learn::random::{Purpose, generator};
 
 use sortie_learn::networks::Targets;
 
-use crate::alma::agents::{UtilityNetwork, UtilityShape};
+use crate::alma::agents::{UtilityShape, network};
 
 const FEATURES: usize = 6;
 const RELATIONS: usize = 3;
@@ -15,8 +14,7 @@ fn export(relations: usize) -> Result<Vec<u8>, ExportError> {
     let input = FEATURES + 2 + RELATIONS;
     let (skip, targets) = (false, Targets::default());
     let shape = UtilityShape { input, width: 16, heads: 2, base: 8, actions: 1, skip, targets };
-    let weights = generator(7, Purpose::Weights, 0);
-    let network = UtilityNetwork::initialise(shape, 8.0, &mut { weights });
+    let network = network(shape, 8.0, 7);
     let (features, contract) = (FEATURES, 0x0123_4567_89ab_cdef);
     let layers = network.view().layers();
     team_value_onnx(&TeamValueExport { features, relations, contract, layers })

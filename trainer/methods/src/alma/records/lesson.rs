@@ -221,7 +221,7 @@ fn exchange(marks: &mut Vec<u8>, tasks: usize, draw: u64) {
 
 impl Side {
     fn clear(&mut self, conditioning: Conditioning, columns: Columns) {
-        self.batch.clear_for(conditioning, columns);
+        self.batch.clear(conditioning, columns);
         self.actions.clear();
     }
 }

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use rand_core::Rng;
-use serde::{Deserialize, Serialize};
 use sortie_envs::random::below;
 use sortie_envs::{Environment, Observation, Random, Spec};
 use sortie_learn::configuration::require;
@@ -17,12 +16,12 @@ use sortie_learn::subtasks::{
 use sortie_learn::trajectory::Place;
 use sortie_learn::{Act, Ask, LearnError, Learner, Method, Now, State, Transition};
 
-use super::allocator::{Allocator, rules};
 use super::config::{Config, LEARNED};
 use super::deciding::{Deciding, Decisions};
 use super::lesson::{Drawn, Experience, Lesson, Networks, SAMPLES};
-use super::replay::{Moment, Replay, Taken};
-use super::team_value::TeamValueAllocator;
+use super::replay::{Moment, Replay};
+use super::rules;
+use super::team_value::{Allocator, TeamValueAllocator};
 use crate::alma::agents::{Conditioning, UtilityShape, UtilityView};
 use crate::alma::export;
 use crate::alma::learned::{Learned, measured};
@@ -48,37 +47,14 @@ pub struct Records {
     seen: Observation,
     /// What the agents draw their samples with.
     random: Random,
-    due: Due,
+    /// When each level makes its next update, in environment steps.
+    due: Level<u64>,
     /// Decisions that were not reported yet.
     decisions: u64,
     /// Whether the allocator learns from the steps that are being taken.
     keeps_segments: bool,
     samples: Vec<(Place, u8)>,
     drawn: Vec<Drawn>,
-}
-
-/// When each level makes its next update, in environment steps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct Due(Level<u64>);
-
-impl Due {
-    /// Whether a level has an update to make.
-    fn any(&self, env_steps: u64) -> bool {
-        self.0.agents.min(self.0.allocator) <= env_steps
-    }
-
-    /// Which levels have an update to make; they are taken to have made it.
-    fn take(&mut self, env_steps: u64, config: &Config) -> Level<bool> {
-        let take = |next: &mut u64, pause: u64| {
-            let due = *next <= env_steps;
-            *next += if due { pause } else { 0 };
-            due
-        };
-        Level {
-            agents: take(&mut self.0.agents, config.replay.steps_per_update),
-            allocator: take(&mut self.0.allocator, config.allocator.replay.steps_per_update),
-        }
-    }
 }
 
 impl Records {
@@ -100,7 +76,7 @@ impl Records {
             players: Players::new(config.network.subtask),
             seen: Observation::default(),
             random: generator(seed, Purpose::Replay, 0),
-            due: Due::default(),
+            due: Level::default(),
             decisions: 0,
             keeps_segments: false,
             samples: Vec::new(),
@@ -150,13 +126,20 @@ impl Records {
 
     /// One update of each level that is due.
     fn update_once(&mut self, environment: &dyn Environment, now: Now, reports: &mut Reports) {
-        let due = self.due.take(now.env_steps, &self.config);
-        if due.agents {
+        let is_due = |next: &mut u64, pause: u64| {
+            let is_due = *next <= now.env_steps;
+            *next += if is_due { pause } else { 0 };
+            is_due
+        };
+        let [of_agents, of_allocator] = [&self.config.replay, &self.config.allocator.replay];
+        let agents_due = is_due(&mut self.due.agents, of_agents.steps_per_update);
+        let allocator_due = is_due(&mut self.due.allocator, of_allocator.steps_per_update);
+        if agents_due {
             let rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
             reports.agents.extend(self.update_agents(environment, rate));
         }
         let config = &self.config.allocator;
-        if let Some(allocator) = self.allocator.as_mut().filter(|_| due.allocator) {
+        if let Some(allocator) = self.allocator.as_mut().filter(|_| allocator_due) {
             let rate = config.optimiser.learning_rate_at(now.env_steps, now.of);
             reports.allocator.extend(allocator.update(config, environment, rate));
         }
@@ -244,8 +227,8 @@ impl Method for Records {
         let did: Vec<u8> = actions.iter().map(|action| *action as u8).collect();
         let (allocation, last_actions) = (&place.allocation, &place.last_actions);
         let moment = Moment { state, allocation, last_actions, actions: &did };
-        let (seen, open_then) = (&place.seen, self.seen.open_tasks);
-        self.replay.push(Taken { transition, seen, open_then, moment, before: &episode.before });
+        let seen = (&place.seen, self.seen.open_tasks);
+        self.replay.push(transition, seen, (moment, &episode.before));
         episode.before.clone_from(allocation);
         let segments = self.allocator.as_mut().map(|allocator| &mut allocator.segments);
         let segments = segments.filter(|_| self.keeps_segments);
@@ -256,17 +239,16 @@ impl Method for Records {
     fn update(&mut self, environment: &dyn Environment, now: Now) -> Result<Reports, LearnError> {
         let decisions = std::mem::take(&mut self.decisions);
         let mut reports = Reports { decisions, ..Reports::default() };
-        while self.due.any(now.env_steps) {
+        while self.due.agents.min(self.due.allocator) <= now.env_steps {
             self.update_once(environment, now, &mut reports);
         }
         Ok(reports)
     }
 
     fn rates(&self, now: Now) -> Rates {
-        Rates {
-            epsilon: self.config.exploration.epsilon_at(now.env_steps),
-            learning_rate: self.config.optimiser.learning_rate_at(now.env_steps, now.of),
-        }
+        let epsilon = self.config.exploration.epsilon_at(now.env_steps);
+        let learning_rate = self.config.optimiser.learning_rate_at(now.env_steps, now.of);
+        Rates { epsilon, learning_rate }
     }
 
     fn team(&self) -> Box<dyn Act + '_> {

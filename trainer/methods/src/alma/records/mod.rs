@@ -6,7 +6,6 @@
 //! network, n-step returns, optional potential shaping, Adam, averaged weights, search instead of a
 //! proposal network.
 
-mod allocator;
 pub mod config;
 mod deciding;
 mod lesson;
@@ -16,9 +15,17 @@ pub mod team_value;
 #[cfg(test)]
 mod tests;
 
-pub use allocator::Allocator;
+use sortie_learn::configuration::OptimiserConfig;
+use sortie_learn::learner::Rules;
+
 pub use config::Config;
 pub(crate) use config::LEARNED;
 pub use lesson::{Drawn, Experience, Lesson, Networks};
 pub use method::Records;
-pub use replay::{Moment, Replay, Sample, Taken};
+pub use replay::{Moment, Replay, Sample};
+pub use team_value::Allocator;
+
+/// What updates do; the averaged weights begin as a plain mean.
+fn rules(optimiser: &OptimiserConfig) -> Rules {
+    Rules { mean_first: true, ..Rules::from(optimiser) }
+}

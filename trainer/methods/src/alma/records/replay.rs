@@ -61,21 +61,6 @@ struct Worked {
     moved: u32,
 }
 
-/// A step to be remembered.
-#[derive(Clone, Copy)]
-pub struct Taken<'a> {
-    /// What was done, and what came of it.
-    pub transition: &'a Transition<'a>,
-    /// What there was to see in the state.
-    pub seen: &'a Observation,
-    /// The subtasks that are open behind the step.
-    pub open_then: u32,
-    /// Who acted for what, and had done what before.
-    pub moment: Moment<'a>,
-    /// Who acted for what in the step before; nothing at the begin of an episode.
-    pub before: &'a [u8],
-}
-
 /// A team in a state, with what it did and what followed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample<'a> {
@@ -141,22 +126,27 @@ impl Replay {
         self.samples() >= samples && self.steps.can_draw(self.returns.steps as usize)
     }
 
-    /// Adds a step, and forgets the oldest of its instance.
-    pub fn push(&mut self, taken: Taken<'_>) {
-        let Taken { transition, moment, .. } = taken;
+    /// Adds a step, and forgets the oldest of its instance: what there was to see in the state, the subtasks that are open
+    /// behind the step, and who acted for what then and in the step before, which is nothing at the begin of an episode.
+    pub fn push(
+        &mut self,
+        transition: &Transition<'_>,
+        (seen, open_then): (&Observation, u32),
+        (moment, before): (Moment<'_>, &[u8]),
+    ) {
         let everybody: Vec<u8>;
         let moment = if self.conditioning.has_subtasks() {
             moment
         } else {
             let agents = 0..moment.allocation.len();
-            let exists = |agent| if agent < taken.seen.agents() { 0 } else { u8::MAX };
+            let exists = |agent| if agent < seen.agents() { 0 } else { u8::MAX };
             everybody = agents.map(exists).collect();
             Moment { allocation: &everybody, ..moment }
         };
-        let (worked, rewards) = self.worked(Taken { moment, ..taken });
+        let (worked, rewards) = self.worked(transition, (seen, open_then), (moment, before));
         let mut state = moment.bytes();
         for task in members(worked.samples.into()) {
-            state.extend(taken.seen.things_of(task).to_le_bytes());
+            state.extend(seen.things_of(task).to_le_bytes());
         }
         let Moment { actions, .. } = moment;
         let last = Moment { state: transition.next, last_actions: actions, ..moment };
@@ -173,8 +163,12 @@ impl Replay {
     }
 
     /// What became of the subtasks, and what each has earned: shaped, the difference of its team's potentials is part of it.
-    fn worked(&self, taken: Taken<'_>) -> (Worked, Vec<f64>) {
-        let Taken { transition, seen, open_then, moment, before } = taken;
+    fn worked(
+        &self,
+        transition: &Transition<'_>,
+        (seen, open_then): (&Observation, u32),
+        (moment, before): (Moment<'_>, &[u8]),
+    ) -> (Worked, Vec<f64>) {
         let Transition { environment, step, task_rewards, next, .. } = *transition;
         let has_subtasks = self.conditioning.has_subtasks();
         let bit = |task: &u8| 1_u32.checked_shl((*task).into()).unwrap_or(0);

@@ -9,7 +9,6 @@ use sortie_learn::{LearnError, section, sections, words};
 use sortie_nn::schedule::linear;
 
 use super::WindowShape;
-use super::allocation::{AllocationLearning, AllocationShape, RowRules};
 use crate::alma::agents::{Conditioning, UtilityShape};
 use crate::alma::records::LEARNED;
 use crate::alma::records::config::{
@@ -25,7 +24,7 @@ sections! {
 
     above "What is learned from." {
         /// Windows of whole episodes, which tells this file from those of the preset `fast`.
-        learner: Learner = Learner::Windows, OneOf(Learner::WORDS);
+        learner: String = "windows".to_owned(), OneOf(&["windows"]);
     }
 
     besides {
@@ -154,14 +153,6 @@ section! {
 }
 
 words! {
-    /// What this preset learns from.
-    Learner {
-        /// Windows of whole episodes.
-        Windows = "windows",
-    }
-}
-
-words! {
     /// When the PopArt head is rescaled to new statistics.
     PopArtOrder {
         /// Before values are computed, so that they and the targets are in the same units.
@@ -213,34 +204,20 @@ impl Config {
     /// Windows learned from under the conditions of the preset `fast`: its returns, its width, its
     /// exploration, its steps, and as many updates of as many states. COPA's under that preset.
     pub fn like_fast() -> Self {
-        let fast = records::Config::default();
-        let agents = fast.exploration;
-        let schedule = Schedule { start: agents.start, end: agents.end, steps: agents.steps };
-        let width = fast.network.width;
-        Self {
-            low_level: LowLevelConfig {
-                width,
-                hypernetwork_width: width,
-                active_inputs: fast.network.active_inputs,
-                skip: fast.network.skip,
-                returns: fast.returns,
-                ..LowLevelConfig::default()
-            },
-            exploration: ExplorationConfig {
-                actions: schedule.clone(),
-                proposal: schedule.clone(),
-                allocation: schedule,
-            },
-            learning: LearningConfig {
-                windows: 16,
-                steps: 32,
-                updates: 5,
-                copy_agents_every: 40,
-                copy_critic_every: 10,
-                ..LearningConfig::default()
-            },
-            ..Self::default()
+        let records::Config { network, returns, exploration: agents, .. } =
+            records::Config::default();
+        let mut config = Self::default();
+        let Self { low_level, exploration, learning, .. } = &mut config;
+        (low_level.width, low_level.hypernetwork_width) = (network.width, network.width);
+        (low_level.active_inputs, low_level.skip) = (network.active_inputs, network.skip);
+        low_level.returns = returns;
+        let ExplorationConfig { actions, proposal, allocation } = exploration;
+        for schedule in [actions, proposal, allocation] {
+            *schedule = Schedule { start: agents.start, end: agents.end, steps: agents.steps };
         }
+        (learning.windows, learning.steps, learning.updates) = (16, 32, 5);
+        (learning.copy_agents_every, learning.copy_critic_every) = (40, 10);
+        config
     }
 
     /// What a setup says.
@@ -272,30 +249,6 @@ impl Config {
     /// Who allocates, by name.
     pub fn measured_allocation(&self) -> &str {
         if self.low_level.conditioning.has_subtasks() { &self.allocation.by } else { "none" }
-    }
-
-    /// How the allocator learns in an environment of these sizes.
-    pub fn allocation_learning(&self, sizes: WindowShape) -> AllocationLearning {
-        let allocation = &self.allocation;
-        AllocationLearning {
-            shape: AllocationShape {
-                features: sizes.features,
-                columns: sizes.tasks + allocation.extra_tasks,
-                width: allocation.width,
-                heads: allocation.heads,
-            },
-            proposals: allocation.proposals,
-            rows: RowRules {
-                interval: allocation.interval as f32,
-                most: allocation.rows,
-                age_limit: allocation.oldest as f32,
-            },
-            discount: allocation.discount.into(),
-            entropy: allocation.entropy.into(),
-            learning_rate: self.low_level.learning_rate,
-            gradient_norm: self.low_level.clip,
-            as_public_code: false,
-        }
     }
 
     /// Has a coach tell agents without subtasks what to do: COPA.

@@ -14,8 +14,10 @@ use super::config::Exploration;
 pub struct ProposalAllocator<'a> {
     networks: AllocationNetworks<'a>,
     proposals: usize,
-    greedy_first: bool,
-    exploration: Option<Exploration>,
+    /// Whether the first proposal is what the policy holds most probable, as deployed allocators have it.
+    pub(super) greedy_first: bool,
+    /// What is tried out, if anything; task columns are shuffled then.
+    pub(super) exploration: Option<Exploration>,
     decider: Decider,
     seen: Observation,
 }
@@ -31,16 +33,6 @@ impl<'a> ProposalAllocator<'a> {
             decider: Decider::default(),
             seen: Observation::default(),
         }
-    }
-
-    /// The same whose first proposal is what the policy holds most probable, as deployed allocators have it.
-    pub fn greedy_first(self) -> Self {
-        Self { greedy_first: true, ..self }
-    }
-
-    /// The same that tries out so much, if anything; its task columns are shuffled then.
-    pub fn exploring(self, exploration: Option<Exploration>) -> Self {
-        Self { exploration, ..self }
     }
 }
 
@@ -92,7 +84,7 @@ mod tests {
     use super::*;
     use crate::alma::windows::NO_TASK;
     use crate::alma::windows::allocation::{AllocationCritic, AllocationPolicy, AllocationShape};
-    use crate::alma::windows::{Note, Replay, SampleShape, Shaping, Windows, cut_windows};
+    use crate::alma::windows::{Note, Replay, SampleShape, Windows, cut_windows};
     use sortie_envs::{Environment, Split, Step};
     use sortie_learn::Transition;
     use sortie_learn::random::{Purpose, generator};
@@ -127,7 +119,7 @@ mod tests {
         };
         let note = Note { decision: true, added: 0 };
         replay.push(&transition, &vec![NO_TASK; shape.agents], note);
-        let sample = SampleShape { windows: 1, steps: 1, shaping: Shaping::default() };
+        let sample = SampleShape { windows: 1, steps: 1, ..SampleShape::default() };
         (state, cut_windows(&*city, &replay, &replay.episodes(), sample, &mut draws(0)))
     }
 
@@ -179,7 +171,8 @@ mod tests {
         let (policy, critic) = networks();
         let networks = AllocationNetworks { policy: &policy, critic: &critic };
         let exploration = Exploration { allocation: 1.0, ..Exploration::default() };
-        let mut allocator = ProposalAllocator::new(networks, 8).exploring(Some(exploration));
+        let mut allocator = ProposalAllocator::new(networks, 8);
+        allocator.exploration = Some(exploration);
         // A start with fewer agents and subtasks than there may be.
         let few = |windows: &Windows| {
             windows.open.contains(&false) && !windows.present[windows.shape.agents - 1]

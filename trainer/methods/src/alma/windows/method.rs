@@ -17,12 +17,12 @@ use sortie_learn::{Act, Ask, LearnError, Method, Now, State, Transition};
 use sortie_nn::random::Generator;
 
 use super::WindowShape;
-use super::allocation::{AllocationLevel, AllocationNetworks};
+use super::allocation::{AllocationLearning, AllocationLevel, AllocationNetworks};
 use super::config::{Config, Exploration};
 use super::deciding::ProposalAllocator;
 use super::export::{ProposalGraphs, export_proposals};
 use super::low_level::LowLevel;
-use super::sampling::{Note, Replay, SampleShape, Shaping, cut_windows, draw_episodes};
+use super::sampling::{Note, Replay, SampleShape, cut_windows, draw_episodes};
 use crate::alma::coach::Advice;
 use crate::alma::export;
 use crate::alma::learned::Learned;
@@ -72,7 +72,7 @@ impl WindowLearner {
         if config.coach.enabled {
             low_level.add_coach(&config.coach, &mut weights);
         }
-        let learning = config.learns_allocator().then(|| config.allocation_learning(sizes));
+        let learning = config.learns_allocator().then(|| AllocationLearning::of(config, sizes));
         Self {
             places: Places::new(config.allocation.interval),
             players: Players::new(config.low_level.conditioning),
@@ -86,7 +86,7 @@ impl WindowLearner {
             sample: SampleShape {
                 windows: config.learning.windows,
                 steps: config.learning.steps,
-                shaping: Shaping::default(),
+                ..SampleShape::default()
             },
             generator: generator(seed, Purpose::Replay, 0),
             episodes: Episodes::default(),
@@ -107,8 +107,8 @@ impl WindowLearner {
             draw_episodes(replay, sample.windows, generator, |_| true)
         };
         if let Some(drawn) = drawn {
-            let ReturnsConfig { shaping: scale, discount, .. } = config.low_level.returns;
-            let shaped = SampleShape { shaping: Shaping { scale, discount }, ..*sample };
+            let ReturnsConfig { shaping, discount, .. } = config.low_level.returns;
+            let shaped = SampleShape { shaping, discount, ..*sample };
             let windows = cut_windows(environment, replay, &drawn, shaped, generator);
             let report = self.low_level.learn(&windows, *threads, generator);
             let report = UpdateReport { loss: report.loss, gradient_norm: report.gradient_norm };
@@ -148,7 +148,8 @@ impl WindowLearner {
         let agents = NetworkAgents::new(self.low_level.players(), low_level.conditioning);
         let allocator = self.allocation.as_ref().map(|level| {
             let networks = level.networks();
-            let proposing = ProposalAllocator::new(networks, allocation.proposals).greedy_first();
+            let mut proposing = ProposalAllocator::new(networks, allocation.proposals);
+            proposing.greedy_first = true;
             let write = move |contract| {
                 let AllocationNetworks { policy, critic } = networks;
                 let graphs = export_proposals(policy, critic, contract);
@@ -178,8 +179,9 @@ impl WindowLearner {
             (Some(rule), _) => Box::new(RuleAllocator(rule)),
             (None, Some(level)) => {
                 let proposals = config.allocation.proposals;
-                let own = ProposalAllocator::new(level.networks(), proposals);
-                Box::new(own.exploring(exploration))
+                let mut own = ProposalAllocator::new(level.networks(), proposals);
+                own.exploration = exploration;
+                Box::new(own)
             }
             (None, None) => Box::new(NoSubtasks),
         }

@@ -16,7 +16,8 @@ mod sampling;
 
 use sortie_envs::{ActionSet, Shape, Spec};
 use sortie_learn::networks::Targets;
-use sortie_nn::layers::SparseRows;
+use sortie_nn::layers::matrix::Store;
+use sortie_nn::layers::{SparseRows, elementwise};
 
 pub use sortie_envs::UNASSIGNED as NO_TASK;
 pub use sortie_learn::subtasks::NO_ACTION;
@@ -25,8 +26,8 @@ pub use config::{Config, Exploration};
 pub use deciding::ProposalAllocator;
 pub use export::{ProposalGraphs, export_proposals};
 pub use method::WindowLearner;
-pub use popart::{PopArt, Rescale};
-pub use sampling::{Note, Replay, SampleShape, Shaping, cut_windows, draw_episodes};
+pub use popart::PopArt;
+pub use sampling::{Note, Replay, SampleShape, cut_windows, draw_episodes};
 
 /// Sizes of a batch of windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -144,5 +145,14 @@ impl Windows {
     pub fn allocation(&self, state: usize) -> &[u8] {
         let WindowShape { agents, entities, .. } = self.shape;
         &self.entity_task[state * entities..][..agents]
+    }
+}
+
+/// Adds up the gradients of lanes in their order, which gives the same bits by any number of threads.
+fn add_up<'a>(gradients: impl Iterator<Item = &'a Vec<f32>>, sum: &mut Vec<f32>) {
+    sum.clear();
+    for gradient in gradients {
+        sum.resize(gradient.len(), 0.0);
+        elementwise::scale(1.0, gradient, Store::Add, sum);
     }
 }

@@ -27,28 +27,10 @@ impl Default for PopArt {
     }
 }
 
-/// How the last linear map changes so that its outputs stay as they are in real units.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rescale {
-    factor: f64,
-    shift: f64,
-}
-
-impl Rescale {
-    /// Rescales weights and biases, one pair per output.
-    pub fn apply(&self, weights: &mut [f32], biases: &mut [f32]) {
-        for weight in weights {
-            *weight = (f64::from(*weight) * self.factor) as f32;
-        }
-        for bias in biases {
-            *bias = (f64::from(*bias) * self.factor + self.shift) as f32;
-        }
-    }
-}
-
 impl PopArt {
-    /// Moves the statistics towards targets, each with its weight (0 or 1 for a mask).
-    pub fn update(&mut self, targets: impl Iterator<Item = (f64, f64)> + Clone) -> Rescale {
+    /// Moves the statistics towards targets, each with its weight (0 or 1 for a mask), and rescales the weights of the last
+    /// linear map and behind them its biases, one pair per output.
+    pub fn update(&mut self, targets: impl Iterator<Item = (f64, f64)> + Clone, head: &mut [f32]) {
         let total = targets.clone().map(|(_, weight)| weight).sum::<f64>() + 1e-8;
         let mean = |of: &dyn Fn(f64) -> f64| {
             targets.clone().map(|(target, weight)| of(target) * weight).sum::<f64>() / total
@@ -66,11 +48,19 @@ impl PopArt {
         }
         let old_deviation = self.deviation();
         self.variance = ((1.0 - RATE) * (self.variance + RATE * squares)).max(LEAST_VARIANCE);
+        // The very first statistics replace none.
         if first {
-            return Rescale { factor: 1.0, shift: 0.0 };
+            return;
         }
         let deviation = self.deviation();
-        Rescale { factor: old_deviation / deviation, shift: (old_mean - self.mean) / deviation }
+        let (factor, shift) = (old_deviation / deviation, (old_mean - self.mean) / deviation);
+        let (weights, biases) = head.split_at_mut(head.len() / 2);
+        for weight in weights {
+            *weight = (f64::from(*weight) * factor) as f32;
+        }
+        for bias in biases {
+            *bias = (f64::from(*bias) * factor + shift) as f32;
+        }
     }
 
     /// A value in real units as the network learns it.
@@ -95,20 +85,18 @@ mod tests {
     #[test]
     fn outputs_in_real_units_stay_as_they_are() {
         let mut popart = PopArt::default();
-        let (mut weights, mut biases) = ([1.5_f32, 0.5], [0.25_f32, -2.0]);
+        let mut head = [1.5_f32, 0.5, 0.25, -2.0];
         for round in 0..20 {
             let raw = [0.7, -1.3];
-            let real = |popart: &PopArt, weights: &[f32; 2], biases: &[f32; 2]| {
-                let output = |i: usize| f64::from(weights[i]) * raw[i] + f64::from(biases[i]);
+            let real = |popart: &PopArt, head: &[f32; 4]| {
+                let output = |i: usize| f64::from(head[i]) * raw[i] + f64::from(head[2 + i]);
                 [popart.denormalise(output(0)), popart.denormalise(output(1))]
             };
             // The very first statistics replace none, so that there is nothing to preserve.
-            let before = (round > 0).then(|| real(&popart, &weights, &biases));
+            let before = (round > 0).then(|| real(&popart, &head));
             let targets = [f64::from(round) * 0.3, 4.0, -1.0];
-            popart
-                .update(targets.map(|target| (target, 1.0)).into_iter())
-                .apply(&mut weights, &mut biases);
-            let after = real(&popart, &weights, &biases);
+            popart.update(targets.map(|target| (target, 1.0)).into_iter(), &mut head);
+            let after = real(&popart, &head);
             for (before, after) in before.into_iter().flatten().zip(after) {
                 assert!((before - after).abs() < 1e-6 * (1.0 + before.abs()), "{before} {after}");
             }
@@ -119,7 +107,7 @@ mod tests {
     fn constant_targets_keep_a_variance() {
         let mut popart = PopArt::default();
         for _ in 0..2_000 {
-            popart.update([(3.0, 1.0), (3.0, 1.0), (99.0, 0.0)].into_iter());
+            popart.update([(3.0, 1.0), (3.0, 1.0), (99.0, 0.0)].into_iter(), &mut []);
         }
         assert_eq!(popart.variance, LEAST_VARIANCE);
         assert!(popart.normalise(3.0).abs() < 1e-6);

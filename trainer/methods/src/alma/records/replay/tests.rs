@@ -62,18 +62,14 @@ impl World {
             agent_rewards: &[],
             next: &next,
         };
-        self.replay.push(Taken {
-            transition: &transition,
-            seen: &seen,
-            open_then: self.street.seen().open_tasks,
-            moment: Moment {
-                state: &state,
-                allocation: &allocation,
-                last_actions: &last_actions,
-                actions: &actions.map(|action| action as u8),
-            },
-            before: &self.before,
-        });
+        let moment = Moment {
+            state: &state,
+            allocation: &allocation,
+            last_actions: &last_actions,
+            actions: &actions.map(|action| action as u8),
+        };
+        let seen = (&seen, self.street.seen().open_tasks);
+        self.replay.push(&transition, seen, (moment, &self.before));
         self.before = allocation;
         self.last_actions.iter_mut().zip(actions).for_each(|(last, action)| *last = action as u8);
     }

@@ -22,8 +22,7 @@ use sortie_nn::tape::Tape;
 use crate::alma::agents::{UtilityInput, UtilityLayers, UtilityView};
 
 pub use input::{TeamColumns, TeamQuery, TeamValueInput};
-pub(super) use loss::SEGMENTS;
-pub use loss::{DrawnSegment, Segments, TeamLesson, TeamValues};
+pub use loss::{Allocator, DrawnSegment, Segments, TeamLesson, TeamValues};
 
 /// Sweeps of the coordinate ascent; few are needed until no agent moves.
 const SWEEPS: usize = 8;

@@ -9,7 +9,7 @@ use sortie_nn::gradient_check::assert_gradient;
 use sortie_nn::tape::Parameters;
 
 use super::*;
-use crate::alma::agents::UtilityNetwork;
+use crate::alma::agents::{self, UtilityNetwork};
 use crate::alma::records::config::{AllocatorConfig, Credit};
 use crate::alma::records::replay::Moment;
 use crate::alma::records::tests::toy::{AGENTS, Street, toy};
@@ -24,7 +24,7 @@ fn network(environment: &dyn Environment) -> UtilityNetwork {
     let mut config = AllocatorConfig::default();
     (config.network.width, config.network.base) = (8, 8);
     let shape = config.shape(environment.spec());
-    UtilityNetwork::initialise(shape, 8.0, &mut generator(2, Purpose::Weights, 0))
+    agents::network(shape, 8.0, 2)
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn of_streets(skip: bool) -> UtilityNetwork {
     (config.network.width, config.network.base) = (16, 12);
     config.network.skip = skip;
     let shape = config.shape(toy().spec());
-    UtilityNetwork::initialise(shape, 8.0, &mut generator(1, Purpose::Weights, 0))
+    agents::network(shape, 8.0, 1)
 }
 
 #[test]

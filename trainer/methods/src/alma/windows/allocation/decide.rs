@@ -6,8 +6,7 @@ use sortie_envs::random::below;
 use sortie_nn::random::Generator;
 use sortie_nn::tape::Tape;
 
-use super::critic::CriticInput;
-use super::networks::{AllocationCritic, AllocationPolicy};
+use super::networks::{AllocationCritic, AllocationPolicy, CriticInput};
 use super::proposals::{Noise, Proposals};
 use super::rows::States;
 
@@ -59,17 +58,6 @@ pub struct AllocationNetworks<'a> {
     pub critic: &'a AllocationCritic,
 }
 
-/// The proposals for some states, P each.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Proposed {
-    /// `[states, P, A]`: the subtask of every agent; absent agents have none.
-    pub allocations: Vec<u8>,
-    /// `[states, P]`: `log f(b | s)`
-    pub log_probabilities: Vec<f32>,
-    /// `[states, P]`: the entropy of the choices that led there, summed over the agents.
-    pub entropies: Vec<f32>,
-}
-
 /// What was decided in some states.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Decided {
@@ -82,9 +70,9 @@ pub struct Decided {
 /// Decides; the buffers of one thread.
 #[derive(Debug, Default)]
 pub struct Decider {
-    policy_tape: Tape,
-    critic_tape: Tape,
-    input: CriticInput,
+    pub(super) policy_tape: Tape,
+    pub(super) critic_tape: Tape,
+    pub(super) input: CriticInput,
 }
 
 impl Decider {
@@ -111,49 +99,6 @@ impl Decider {
             }
         }
         decided
-    }
-
-    /// Proposes P allocations for every state.
-    pub fn propose(
-        &mut self,
-        policy: &AllocationPolicy,
-        states: &States,
-        columns: &TaskColumns,
-        (count, noise): (usize, Noise<'_>),
-    ) -> Proposed {
-        let mut proposed = Proposed::default();
-        for block in blocks(0..states.len()) {
-            let (tape, length) = (&mut self.policy_tape, block.len());
-            let sampling = (count, noise);
-            let own = Proposals::draw(tape, policy, (states, block), &columns.policy, sampling);
-            for index in 0..length * count {
-                let whole = own.of_proposal(index / count, index % count);
-                own.write(whole, &mut proposed.allocations);
-                proposed.log_probabilities.push(own.log_probability(whole));
-                proposed.entropies.push(own.entropy_of(whole));
-            }
-        }
-        proposed
-    }
-
-    /// The values of `allocations [states, K, A]`, before PopArt's head.
-    pub fn value(
-        &mut self,
-        critic: &AllocationCritic,
-        states: &States,
-        columns: &TaskColumns,
-        allocations: &[u8],
-    ) -> Vec<f32> {
-        let Self { critic_tape, input, .. } = self;
-        let per_state = allocations.len() / states.len().max(1);
-        let mut values = Vec::new();
-        for block in blocks(0..states.len()) {
-            let own = block.map(|state| (state, &allocations[state * per_state..][..per_state]));
-            let columns = (states, &*columns.critic);
-            let (t, own) = critic.value(critic_tape, input, columns, own);
-            values.extend_from_slice(t.values(own));
-        }
-        values
     }
 }
 

@@ -10,13 +10,14 @@ use sortie_learn::random::{Purpose, generator};
 use sortie_nn::lanes::in_lanes;
 use sortie_nn::optimise::{RmsProp, clip_norm};
 use sortie_nn::random::Generator;
+use sortie_nn::tape::Tape;
 
-use super::decide::AllocationNetworks;
-use super::lane::{Lane, Loss};
-use super::networks::{AllocationCritic, AllocationPolicy};
+use super::decide::{AllocationNetworks, best_of, blocks};
+use super::networks::{AllocationCritic, AllocationPolicy, CriticInput};
+use super::proposals::Proposals;
 use super::rows::Rows;
 use super::{AllocationLearning, StepDraws};
-use crate::alma::windows::Windows;
+use crate::alma::windows::{Windows, add_up};
 
 /// Into how many parts the rows of a step are cut.
 const LANES: usize = 8;
@@ -82,23 +83,13 @@ impl AllocationLevel {
         // The low level draws its weights from the streams before these.
         let critic = AllocationCritic::initialise(learning.shape, &mut random(16));
         let policy = AllocationPolicy::initialise(learning.shape, &mut random(17));
-        Self::with_networks(learning, critic.clone(), policy, critic)
-    }
-
-    /// Given networks and optimisers that have taken no step.
-    pub fn with_networks(
-        learning: AllocationLearning,
-        critic: AllocationCritic,
-        policy: AllocationPolicy,
-        target: AllocationCritic,
-    ) -> Self {
         Self {
             learning,
             optimisers: [&critic.parameters, &policy.parameters]
                 .map(|parameters| RmsProp::new(parameters.values.len())),
+            target: critic.clone(),
             critic,
             policy,
-            target,
             lanes: vec![Lane::default(); LANES],
             last: LastStep::default(),
         }
@@ -138,39 +129,30 @@ impl AllocationLevel {
         threads: usize,
     ) -> Option<AllocationReport> {
         let mut rows = std::mem::take(&mut self.last.rows);
-        rows.collect(windows, now, &self.learning.rows);
+        rows.collect(windows, now, &self.learning.config);
         let loss = Loss::new(&rows, &self.learning);
-        let report = loss.map(|loss| self.step(&rows, &loss, draws, threads));
+        let step = |loss: &Loss| self.step(Step { rows: &rows, loss, draws }, threads);
+        let report = loss.as_ref().map(step);
         self.last.rows = rows;
         report
     }
 
-    fn step(
-        &mut self,
-        rows: &Rows,
-        loss: &Loss,
-        draws: &StepDraws<'_>,
-        threads: usize,
-    ) -> AllocationReport {
-        let count = rows.len();
+    fn step(&mut self, step: Step<'_>, threads: usize) -> AllocationReport {
+        let (rows, count) = (step.rows, step.rows.len());
         let (learning, critic, policy) = (&self.learning, &self.critic, &self.policy);
         let networks = AllocationNetworks { policy, critic };
         in_lanes(threads, &mut self.lanes, |index, lane| {
-            let range = lane_range(count, index);
-            lane.propose(networks, &self.target, (rows, range), loss, draws, learning);
+            lane.propose(learning, networks, &self.target, step, lane_range(count, index));
         });
 
         self.last.best.clear();
         self.last.best.extend(self.lanes.iter().flat_map(|lane| lane.best.iter().copied()));
-        let next: Vec<f64> =
-            self.lanes.iter().flat_map(|lane| lane.values.iter().copied()).collect();
-        self.find_targets(rows, &next);
+        self.find_targets(rows);
         let before = self.critic.head();
         let masked = self.last.targets.iter().zip(&rows.mask);
         let masked = masked.map(|(target, mask)| (*target, f64::from(u8::from(*mask))));
-        let rescale = self.critic.popart.update(masked);
-        let (weights, biases) = self.critic.head_mut();
-        rescale.apply(weights, biases);
+        let parameters = &mut self.critic.parameters.values[self.critic.layers.head_range()];
+        self.critic.popart.update(masked, parameters);
         let popart = self.critic.popart;
         self.last.normalised.clear();
         self.last.normalised.extend(self.last.targets.iter().map(|y| popart.normalise(*y)));
@@ -179,17 +161,16 @@ impl AllocationLevel {
         let compared = if self.learning.as_public_code { before } else { after };
         let (critic, targets) = (&self.critic, &self.last.normalised);
         in_lanes(threads, &mut self.lanes, |index, lane| {
-            let range = lane_range(count, index);
-            lane.value((critic, compared), (rows, range), loss, (targets, &draws.stored));
+            lane.value((critic, compared), targets, step, lane_range(count, index));
         });
-        self.descend(rows, loss)
+        self.descend(rows, step.loss)
     }
 
     /// Adds up the lanes and moves both networks.
     fn descend(&mut self, rows: &Rows, loss: &Loss) -> AllocationReport {
         let LastStep { critic_gradient, policy_gradient, .. } = &mut self.last;
-        sum_into(critic_gradient, self.lanes.iter().map(|lane| &lane.critic_gradient));
-        sum_into(policy_gradient, self.lanes.iter().map(|lane| &lane.policy_gradient));
+        add_up(self.lanes.iter().map(|lane| &lane.critic_gradient), critic_gradient);
+        add_up(self.lanes.iter().map(|lane| &lane.policy_gradient), policy_gradient);
         let limit = self.learning.gradient_norm;
         let critic_norm = clip_norm(critic_gradient, limit);
         let policy_norm = clip_norm(policy_gradient, limit);
@@ -210,9 +191,10 @@ impl AllocationLevel {
     }
 
     /// `R + γ (1 - term) Q(s', b*')` of all rows but the last.
-    fn find_targets(&mut self, rows: &Rows, next: &[f64]) {
-        let discount = self.learning.discount;
-        let known = rows.reward.iter().zip(&rows.terminated).zip(&next[1..]);
+    fn find_targets(&mut self, rows: &Rows) {
+        let discount = f64::from(self.learning.config.discount);
+        let next = self.lanes.iter().flat_map(|lane| &lane.values).skip(1);
+        let known = rows.reward.iter().zip(&rows.terminated).zip(next);
         self.last.targets.clear();
         self.last.targets.extend(known.map(|((reward, terminated), next)| {
             f64::from(*reward) + if *terminated { 0.0 } else { discount * next }
@@ -224,10 +206,149 @@ fn lane_range(rows: usize, lane: usize) -> Range<usize> {
     rows * lane / LANES..rows * (lane + 1) / LANES
 }
 
-fn sum_into<'a>(sum: &mut Vec<f32>, parts: impl Iterator<Item = &'a Vec<f32>>) {
-    sum.clear();
-    for part in parts {
-        sum.resize(part.len(), 0.0);
-        sum.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
+/// How rows count in the losses.
+#[derive(Clone, Debug)]
+struct Loss {
+    /// For each row but the last, mask times age.
+    critic: Vec<f64>,
+    /// The sum of these.
+    critic_total: f64,
+    /// For each row its share of the policy's loss; they sum to 1.
+    policy: Vec<f64>,
+    /// Proposals of all rows.
+    proposals: f64,
+}
+
+impl Loss {
+    /// The weights of rows, or `None` where no row counts.
+    fn new(rows: &Rows, learning: &AllocationLearning) -> Option<Self> {
+        let mask = rows.mask.iter().map(|mask| f64::from(u8::from(*mask)));
+        let aged = mask.zip(&rows.weight).map(|(mask, weight)| mask * f64::from(*weight));
+        let mut policy: Vec<f64> = aged.collect();
+        let critic = policy[..policy.len().checked_sub(1)?].to_vec();
+        if learning.as_public_code {
+            *policy.last_mut()? = f64::from(u8::from(*rows.mask.last()?));
+        }
+        let (critic_total, policy_total) = (critic.iter().sum::<f64>(), policy.iter().sum::<f64>());
+        policy.iter_mut().for_each(|weight| *weight /= policy_total);
+        let proposals = (rows.len() * learning.config.proposals) as f64;
+        (critic_total > 0.0).then_some(Self { critic, critic_total, policy, proposals })
     }
+}
+
+/// What all lanes of a step read.
+#[derive(Clone, Copy)]
+struct Step<'a> {
+    rows: &'a Rows,
+    loss: &'a Loss,
+    draws: &'a StepDraws<'a>,
+}
+
+/// Buffers of one lane and its results.
+#[derive(Clone, Debug, Default)]
+struct Lane {
+    policy_tape: Tape,
+    critic_tape: Tape,
+    input: CriticInput,
+    /// `[rows, A]`: the best proposals.
+    best: Vec<u8>,
+    /// What the target critic says of them, in real units.
+    values: Vec<f64>,
+    policy_gradient: Vec<f32>,
+    critic_gradient: Vec<f32>,
+    /// Sum of the weighted squared errors.
+    squared_error: f64,
+    /// Sum of `-log f` of the best proposals by their shares.
+    surprise: f64,
+    /// Sum of the entropies of all proposals.
+    entropy: f64,
+    operations: u64,
+}
+
+impl Lane {
+    /// Finds and values the best proposals of some rows, and computes the policy's gradient.
+    fn propose(
+        &mut self,
+        learning: &AllocationLearning,
+        AllocationNetworks { policy, critic }: AllocationNetworks<'_>,
+        target: &AllocationCritic,
+        Step { rows: Rows { states, .. }, loss, draws }: Step<'_>,
+        range: Range<usize>,
+    ) {
+        self.best.clear();
+        self.values.clear();
+        zero(&mut self.policy_gradient, policy.parameters.values.len());
+        (self.surprise, self.entropy, self.operations) = (0.0, 0.0, 0);
+        let entropy_weight = (f64::from(learning.config.entropy) / loss.proposals) as f32;
+        for block in blocks(range) {
+            let Self { policy_tape, critic_tape, input, .. } = self;
+            let sampling = (learning.config.proposals, draws.noise);
+            let own = (states, block.clone());
+            let columns = &draws.proposals;
+            let mut proposals =
+                Proposals::draw(policy_tape, policy, own, &columns.policy, sampling);
+            let own = (states, &*columns.critic);
+            let (t, values) = critic.value(critic_tape, input, own, proposals.distinct());
+            let found = best_of(&proposals, critic, t.values(values));
+            self.operations += t.operations(false);
+
+            let mut best = Vec::with_capacity(block.len());
+            for (whole, row) in found.into_iter().zip(block.clone()) {
+                proposals.write(whole, &mut self.best);
+                self.surprise -= loss.policy[row] * f64::from(proposals.log_probability(whole));
+                best.push((whole, loss.policy[row] as f32));
+            }
+            self.entropy += proposals.entropy();
+            proposals.descend(&best, entropy_weight, &mut self.policy_gradient);
+            self.operations += proposals.t.operations(true);
+
+            let first = self.best.len() - block.len() * states.agents;
+            let best = block.zip(self.best[first..].chunks_exact(states.agents));
+            let (t, values) = target.value(critic_tape, input, (states, &draws.target), best);
+            self.values.extend(t.values(values).iter().map(|raw| target.real(*raw)));
+            self.operations += t.operations(false);
+        }
+    }
+
+    /// Compares the critic, whose outputs go through the head `compared`, with normalised targets, and computes its
+    /// gradient.
+    fn value(
+        &mut self,
+        (critic, compared): (&AllocationCritic, [f32; 2]),
+        targets: &[f64],
+        Step { rows: Rows { states, .. }, loss, draws }: Step<'_>,
+        range: Range<usize>,
+    ) {
+        zero(&mut self.critic_gradient, critic.parameters.values.len());
+        self.squared_error = 0.0;
+        for block in blocks(range) {
+            // What does not count has no gradient either.
+            let counts = |row: &usize| loss.critic.get(*row).is_some_and(|weight| *weight > 0.0);
+            let counting: Vec<usize> = block.filter(counts).collect();
+            if counting.is_empty() {
+                continue;
+            }
+            let stored = counting.iter().map(|row| (*row, states.allocation(*row)));
+            let Self { critic_tape, input, .. } = self;
+            let (mut t, raw) = critic.value(critic_tape, input, (states, &draws.stored), stored);
+            let mut slopes = Vec::with_capacity(counting.len());
+            for (row, raw) in counting.iter().zip(t.values(raw)) {
+                let weight = loss.critic[*row];
+                let normalised = compared[0] * raw + compared[1];
+                let error = weight * (f64::from(normalised) - targets[*row]);
+                self.squared_error += error * error;
+                slopes.push((2.0 * weight * error / loss.critic_total) as f32);
+            }
+            let values = critic.layers.head(&mut t, raw);
+            let loss = t.weighted_sum(values, &slopes);
+            t.backward(loss, &mut self.critic_gradient);
+            self.operations += t.operations(true);
+        }
+    }
+}
+
+/// Makes a vector of so many zeros.
+fn zero(vector: &mut Vec<f32>, length: usize) {
+    vector.clear();
+    vector.resize(length, 0.0);
 }

@@ -3,10 +3,7 @@
 //! A critic values allocations of agents to subtasks; a policy proposes some, of which the critic takes
 //! the best.
 
-mod block;
-mod critic;
 mod decide;
-mod lane;
 mod level;
 mod networks;
 mod proposals;
@@ -18,29 +15,25 @@ mod tree;
 use rand_core::Rng;
 use sortie_nn::random::Generator;
 
+use super::WindowShape;
+use super::config::{AllocationConfig, Config};
 use decide::shuffled;
 
 pub(super) use rows::COUNT_SCALE;
 
-pub use decide::{AllocationNetworks, Decided, Decider, Proposed, TaskColumns};
+pub use decide::{AllocationNetworks, Decided, Decider, TaskColumns};
 pub use level::{AllocationLevel, AllocationReport, LastStep};
 pub use networks::{AllocationCritic, AllocationPolicy};
 pub use proposals::Noise;
-pub use rows::{RowRules, Rows, States};
+pub use rows::{Rows, States};
 
 /// How the high level learns.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct AllocationLearning {
     /// Sizes of both networks.
     pub shape: AllocationShape,
-    /// Allocations P that are proposed for every state.
-    pub proposals: usize,
-    /// How decision points become rows.
-    pub rows: RowRules,
-    /// Discount γ, once per decision.
-    pub discount: f64,
-    /// Weight of the proposals' entropy.
-    pub entropy: f64,
+    /// Proposals, rows, and what they are worth.
+    pub config: AllocationConfig,
     /// Step size of both optimisers.
     pub learning_rate: f32,
     /// Limit of the norm of each network's gradient.
@@ -48,6 +41,21 @@ pub struct AllocationLearning {
     /// Follows the public code where it differs from the dissertation: in the policy's loss the last row
     /// does not age, and the critic's head is rescaled only after its output has been compared.
     pub as_public_code: bool,
+}
+
+impl AllocationLearning {
+    /// As a run is configured, in an environment of these sizes.
+    pub fn of(config: &Config, sizes: WindowShape) -> Self {
+        let AllocationConfig { width, heads, extra_tasks, .. } = config.allocation;
+        let (features, columns) = (sizes.features, sizes.tasks + extra_tasks);
+        Self {
+            shape: AllocationShape { features, columns, width, heads },
+            config: config.allocation.clone(),
+            learning_rate: config.low_level.learning_rate,
+            gradient_norm: config.low_level.clip,
+            as_public_code: false,
+        }
+    }
 }
 
 /// The random choices of a step.

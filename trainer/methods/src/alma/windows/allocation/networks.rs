@@ -3,14 +3,18 @@
 //! Features, task and counts of an entity meet in one sum, so they are rows of one embedding here. It is
 //! stored `[in, E]` because its inputs are sparse; all other matrices are `[out, in]`.
 
+use std::ops::Range;
+
 use sortie_nn::layers::linear::LinearShape;
+use sortie_nn::layers::{SparseRows, VisibleLists};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Parameters, Pass, Tape, Var};
 
 use super::AllocationShape;
-use super::critic::CriticInput;
-use super::rows::States;
+use super::rows::{COUNT_SCALE, Shown, States, team_size};
+use super::tree::NONE;
 use crate::alma::agents::stacked;
+use crate::alma::windows::NO_TASK;
 use crate::alma::windows::popart::PopArt;
 
 /// Adds a tensor `[rows, columns]`, drawn uniformly in `±1/sqrt(inputs of the layer)`, as PyTorch does.
@@ -29,7 +33,7 @@ fn drawn(
 pub(super) struct CriticLayers {
     heads: usize,
     /// `[d + T + 3, E]`: features; task columns; the counts of agents and of other entities and 1, these
-    /// three times [`COUNT_SCALE`](super::rows::COUNT_SCALE).
+    /// three times [`COUNT_SCALE`].
     embedding: Linear,
     queries: Linear,
     keys_values: Linear,
@@ -80,6 +84,11 @@ impl CriticLayers {
         t.linear(pooled, self.value)
     }
 
+    /// Where weight and bias of the head stand.
+    pub(super) fn head_range(self) -> Range<usize> {
+        self.head.weight..self.head.weight + 2
+    }
+
     /// Values in normalised units.
     pub(super) fn head(self, t: &mut Pass<'_>, values: Var) -> Var {
         t.linear(values, self.head)
@@ -95,7 +104,7 @@ pub(super) struct PolicyLayers {
     pub(super) queries: Linear,
     pub(super) keys_values: Linear,
     pub(super) out: Linear,
-    /// `[3, E]`: other entities, agents, 1; only the counts are times [`COUNT_SCALE`](super::rows::COUNT_SCALE).
+    /// `[3, E]`: other entities, agents, 1; only the counts are times [`COUNT_SCALE`].
     pub(super) count: usize,
     /// The half of the update that sees the task.
     pub(super) update_task: Linear,
@@ -131,6 +140,96 @@ impl PolicyLayers {
     }
 }
 
+/// Allocations to be valued, with what their rows share (dissertation section 7.2.1 and the public code's allocation critic).
+///
+/// What an entity looks like depends on its subtask and on how many work there, not on the rest of the allocation:
+/// allocations of one state share these rows. Absent entities are left out.
+#[derive(Clone, Debug, Default)]
+pub(super) struct CriticInput {
+    /// Distinct entities.
+    pub(super) rows: SparseRows,
+    /// Those of them that are agents, which query.
+    pub(super) agent_rows: Vec<u32>,
+    /// For each query its agent among them.
+    pub(super) query_agents: Vec<u32>,
+    /// For each query the rows of its allocation.
+    pub(super) visible: VisibleLists,
+    /// For each query its allocation.
+    pub(super) allocation_of: Vec<u32>,
+    pub(super) allocations: usize,
+    /// A
+    pub(super) slots: usize,
+    /// The rows of the present state by entity, task and team size, or [`NONE`].
+    known: Vec<u32>,
+    /// For each row its place among the agents' rows, or [`NONE`].
+    agent_of_row: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl CriticInput {
+    pub(super) fn clear(&mut self) {
+        self.rows.clear();
+        self.agent_rows.clear();
+        self.query_agents.clear();
+        self.visible.clear();
+        self.allocation_of.clear();
+        self.allocations = 0;
+        self.agent_of_row.clear();
+    }
+
+    /// Begins with another state: no row is known.
+    pub(super) fn begin_state(&mut self, states: &States) {
+        self.slots = states.agents;
+        let keys = states.entities * (states.tasks + 1) * (states.agents + 1);
+        self.known.clear();
+        self.known.resize(keys, NONE);
+    }
+
+    /// Adds an allocation `[A]` of the state begun last.
+    pub(super) fn push(&mut self, shown: Shown<'_>, state: usize, allocation: &[u8]) {
+        let states = shown.states;
+        let present = states.present(state);
+        let task_of = |entity: usize| match allocation.get(entity) {
+            Some(task) => *task,
+            None => states.entity_task(state)[entity],
+        };
+        self.list.clear();
+        for entity in (0..states.entities).filter(|entity| present[*entity]) {
+            let task = task_of(entity);
+            let size = team_size(allocation, task);
+            let task_key = if task == NO_TASK { states.tasks } else { usize::from(task) };
+            let key = (entity * (states.tasks + 1) + task_key) * (states.agents + 1) + size;
+            if self.known[key] == NONE {
+                self.known[key] = self.rows.len() as u32;
+                let is_agent = entity < states.agents;
+                self.agent_of_row.push(if is_agent { self.agent_rows.len() as u32 } else { NONE });
+                if is_agent {
+                    self.agent_rows.push(self.known[key]);
+                }
+                if shown.begin_row(state, entity, task, &mut self.rows) {
+                    let first = shown.shape.features + shown.shape.columns;
+                    let counts = [size, states.others(state, task), 1];
+                    for (place, count) in counts.into_iter().enumerate().filter(|it| it.1 > 0) {
+                        self.rows.push(first + place, COUNT_SCALE * count as f32);
+                    }
+                }
+                self.rows.end_row();
+            }
+            self.list.push(self.known[key]);
+        }
+        for row in &self.list {
+            let agent = self.agent_of_row[*row as usize];
+            if agent != NONE {
+                self.query_agents.push(agent);
+                self.allocation_of.push(self.allocations as u32);
+                self.list.iter().for_each(|row| self.visible.push(*row as usize));
+                self.visible.end_list();
+            }
+        }
+        self.allocations += 1;
+    }
+}
+
 /// The critic `Q(s, b)` of allocations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AllocationCritic {
@@ -162,10 +261,11 @@ impl AllocationCritic {
         allocations: impl Iterator<Item = (usize, impl AsRef<[u8]>)>,
     ) -> (Pass<'t>, Var) {
         input.clear();
+        let shown = Shown { shape: self.shape, states, columns };
         for (state, own) in allocations {
             input.begin_state(states);
             for allocation in own.as_ref().chunks_exact(states.agents) {
-                input.push(self.shape, states, state, allocation, columns);
+                input.push(shown, state, allocation);
             }
         }
         let mut t = tape.begin(&self.parameters.values);
@@ -191,11 +291,6 @@ impl AllocationCritic {
     pub fn head(&self) -> [f32; 2] {
         let head = self.layers.head.weight;
         [self.parameters.values[head], self.parameters.values[head + 1]]
-    }
-
-    /// Weight and bias of the PopArt head, to be changed.
-    pub(super) fn head_mut(&mut self) -> (&mut [f32], &mut [f32]) {
-        self.parameters.values[self.layers.head.weight..].split_at_mut(1)
     }
 }
 

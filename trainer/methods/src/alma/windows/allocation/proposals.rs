@@ -16,10 +16,9 @@ use sortie_learn::random::{Purpose, generator};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Linear, Pass, Tape, Var};
 
-use super::block::{Block, NONE};
 use super::networks::{AllocationPolicy, PolicyLayers};
-use super::rows::States;
-use super::tree::{Asked, IMPOSSIBLE, Prefix, Team, Tree, is_possible};
+use super::rows::{Shown, States};
+use super::tree::{Asked, Block, IMPOSSIBLE, NONE, Prefix, Team, Tree, is_possible};
 use crate::alma::windows::NO_TASK;
 
 /// What decides between the possible choices.
@@ -141,7 +140,7 @@ impl PolicyLayers {
 pub(super) struct Proposals<'a> {
     pub(super) t: Pass<'a>,
     pub(super) block: Block,
-    tree: Tree,
+    pub(super) tree: Tree,
     /// Of every level, the log-probabilities `[prefixes, T]` of its choices.
     chances: Vec<Var>,
     proposals: usize,
@@ -157,7 +156,8 @@ impl<'a> Proposals<'a> {
         (proposals, noise): (usize, Noise<'_>),
     ) -> Self {
         let layers = policy.layers;
-        let block = Block::of(policy.shape, states, range.clone(), columns);
+        let shown = Shown { shape: policy.shape, states, columns };
+        let block = Block::of(shown, range.clone());
         let tree = Tree::begin(&block, proposals);
         let t = tape.begin(&policy.parameters.values);
         let mut own = Self { t, block, tree, chances: Vec::new(), proposals };
@@ -268,14 +268,8 @@ impl<'a> Proposals<'a> {
         asked.map(own).sum()
     }
 
-    /// The entropy of one allocation's choices, summed over its agents.
-    pub(super) fn entropy_of(&self, whole: u32) -> f32 {
-        let parents = self.tree.way_back(whole).map(|prefix| prefix.parent as usize);
-        parents.map(|parent| entropy(self.log_probabilities(&self.tree.prefixes[parent]))).sum()
-    }
-
     /// The log-probabilities `[T]` of the choices behind a prefix that asked for them.
-    fn log_probabilities(&self, prefix: &Prefix) -> &[f32] {
+    pub(super) fn log_probabilities(&self, prefix: &Prefix) -> &[f32] {
         let all = self.t.values(self.chances[prefix.level as usize]);
         &all[prefix.row as usize * self.block.tasks..][..self.block.tasks]
     }
@@ -323,7 +317,7 @@ impl<'a> Proposals<'a> {
     }
 }
 
-fn entropy(log_probabilities: &[f32]) -> f32 {
+pub(super) fn entropy(log_probabilities: &[f32]) -> f32 {
     let possible = log_probabilities.iter().filter(|chance| is_possible(**chance));
     -possible.map(|chance| exp(*chance) * chance).sum::<f32>()
 }

@@ -4,21 +4,12 @@
 use sortie_envs::Observation;
 use sortie_nn::layers::SparseRows;
 
+use super::AllocationShape;
+use crate::alma::windows::config::AllocationConfig;
 use crate::alma::windows::{NO_TASK, WindowShape, Windows};
 
 /// What counts of agents and of other entities are multiplied by.
 pub(in crate::alma::windows) const COUNT_SCALE: f32 = 0.2;
-
-/// How decision points become rows.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RowRules {
-    /// Environment steps between decisions, by which rewards are divided (`action_length`).
-    pub interval: f32,
-    /// Rows beyond this number are left out.
-    pub most: usize,
-    /// Environment steps after which an episode counts for nothing (`decay_old`).
-    pub age_limit: f32,
-}
 
 /// Decision points in the order of the windows, each with what came of it until the next.
 #[derive(Clone, Debug, Default)]
@@ -47,7 +38,7 @@ impl Rows {
     }
 
     /// Collects the decision points of windows, `now` environment steps into the run.
-    pub fn collect(&mut self, windows: &Windows, now: u64, rules: &RowRules) {
+    pub fn collect(&mut self, windows: &Windows, now: u64, config: &AllocationConfig) {
         let shape = windows.shape;
         self.states = States::new(shape.agents, shape.entities, shape.tasks);
         self.reward.clear();
@@ -55,26 +46,32 @@ impl Rows {
         self.mask.clear();
         self.weight.clear();
         for window in 0..shape.windows {
-            self.collect_window(windows, window, now, rules);
+            self.collect_window(windows, window, now, config);
         }
     }
 
-    fn collect_window(&mut self, windows: &Windows, window: usize, now: u64, rules: &RowRules) {
+    fn collect_window(
+        &mut self,
+        windows: &Windows,
+        window: usize,
+        now: u64,
+        config: &AllocationConfig,
+    ) {
         let steps = window * windows.shape.steps..(window + 1) * windows.shape.steps;
         let first = self.len();
         // After the end of an episode nobody has an allocation until the next episode's first decision.
         let mut between_episodes = false;
         for state in steps {
             if windows.decision[state] {
-                if self.len() == rules.most {
+                if self.len() == config.rows {
                     return;
                 }
                 self.begin_row(windows, state, between_episodes);
-                self.weight.push(age_weight(now, windows.added[state], rules));
+                self.weight.push(age_weight(now, windows.added[state], config));
                 between_episodes = false;
             }
             if let Some(row) = self.len().checked_sub(1).filter(|row| *row >= first) {
-                self.reward[row] += windows.reward[state] / rules.interval;
+                self.reward[row] += windows.reward[state] / config.interval as f32;
                 self.terminated[row] |= windows.terminated[state];
                 let timed_out = windows.reset[state] && !windows.terminated[state];
                 self.mask[row] &= !timed_out;
@@ -99,9 +96,10 @@ impl Rows {
     }
 }
 
-fn age_weight(now: u64, added: u64, rules: &RowRules) -> f32 {
+fn age_weight(now: u64, added: u64, config: &AllocationConfig) -> f32 {
     let age = now.saturating_sub(added) as f32;
-    ((rules.age_limit - age) / rules.age_limit).max(0.0)
+    let limit = config.oldest as f32;
+    ((limit - age) / limit).max(0.0)
 }
 
 /// Any number of states of the same sizes, row-major with the states in front.
@@ -159,13 +157,8 @@ impl States {
     }
 
     /// How many states there are.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.open.len() / self.tasks.max(1)
-    }
-
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// The allocation `[A]` that stands in a state.
@@ -189,15 +182,35 @@ impl States {
         &self.last_allocation[state * self.agents..][..self.agents]
     }
 
-    /// Copies an entity's features into a row that is not closed yet.
-    pub(super) fn copy_features(&self, state: usize, entity: usize, to: &mut SparseRows) {
-        to.push_row(&self.features, state * self.entities + entity);
-    }
-
     /// Entities of a task that are no agents, present or not.
     pub(super) fn others(&self, state: usize, task: u8) -> usize {
         let others = &self.entity_task(state)[self.agents..];
         others.iter().filter(|of| **of == task).count()
+    }
+}
+
+/// States as a network is shown them.
+#[derive(Clone, Copy)]
+pub(super) struct Shown<'a> {
+    pub(super) shape: AllocationShape,
+    pub(super) states: &'a States,
+    /// `[T]`: the column of each subtask.
+    pub(super) columns: &'a [u8],
+}
+
+impl Shown<'_> {
+    /// Writes an entity's features, and marks that it belongs to a subtask; returns whether it belongs to one.
+    pub(super) fn begin_row(
+        self,
+        state: usize,
+        entity: usize,
+        task: u8,
+        rows: &mut SparseRows,
+    ) -> bool {
+        rows.push_row(&self.states.features, state * self.states.entities + entity);
+        let column = self.columns.get(usize::from(task));
+        column.inspect(|column| rows.push(self.shape.features + usize::from(**column), 1.0));
+        column.is_some()
     }
 }
 
@@ -211,7 +224,9 @@ mod tests {
     use super::*;
     use sortie_learn::networks::Targets;
 
-    const RULES: RowRules = RowRules { interval: 2.0, most: 400, age_limit: 100.0 };
+    fn rules() -> AllocationConfig {
+        AllocationConfig { interval: 2, rows: 400, oldest: 100, ..AllocationConfig::default() }
+    }
 
     /// One window of eight steps that each earn 1, with decisions at these steps.
     fn window(decisions: &[usize]) -> Windows {
@@ -241,7 +256,7 @@ mod tests {
 
     fn rows(windows: &Windows) -> Rows {
         let mut rows = Rows::default();
-        rows.collect(windows, 1_000, &RULES);
+        rows.collect(windows, 1_000, &rules());
         rows
     }
 
@@ -286,7 +301,7 @@ mod tests {
         windows.added = vec![1_000, 1_000, 950, 950, 100, 100, 100, 100];
         assert_eq!(rows(&windows).weight, [1.0, 0.5, 0.0]);
         let mut rows = Rows::default();
-        rows.collect(&windows, 1_000, &RowRules { most: 2, ..RULES });
+        rows.collect(&windows, 1_000, &AllocationConfig { rows: 2, ..rules() });
         assert_eq!((rows.len(), rows.mask.as_slice()), (2, [true, true].as_slice()));
     }
 }

@@ -9,15 +9,80 @@ use sortie_nn::gradient_check::{assert_gradient, random};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::{Parameters, Tape, Tensor};
 
-use super::critic::CriticInput;
-use super::networks::{AllocationCritic, AllocationPolicy};
-use super::proposals::{Noise, Proposals};
+use super::decide::blocks;
+use super::networks::{AllocationCritic, AllocationPolicy, CriticInput};
+use super::proposals::{Noise, Proposals, entropy};
+use super::rows::Shown;
 use super::{
-    AllocationLearning, AllocationLevel, AllocationNetworks, AllocationShape, Decider, RowRules,
-    States, StepDraws, TaskColumns,
+    AllocationLearning, AllocationLevel, AllocationNetworks, AllocationShape, Decider, States,
+    StepDraws, TaskColumns,
 };
+use crate::alma::windows::config::AllocationConfig;
 use crate::alma::windows::{Config, NO_TASK, WindowShape, Windows};
 use sortie_learn::random::{Purpose, generator};
+
+/// The proposals for some states, P each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Proposed {
+    /// `[states, P, A]`: the subtask of every agent; absent agents have none.
+    pub(crate) allocations: Vec<u8>,
+    /// `[states, P]`: `log f(b | s)`
+    pub(crate) log_probabilities: Vec<f32>,
+    /// `[states, P]`: the entropy of the choices that led there, summed over the agents.
+    pub(crate) entropies: Vec<f32>,
+}
+
+impl Decider {
+    /// Proposes P allocations for every state.
+    pub(crate) fn propose(
+        &mut self,
+        policy: &AllocationPolicy,
+        states: &States,
+        columns: &TaskColumns,
+        (count, noise): (usize, Noise<'_>),
+    ) -> Proposed {
+        let mut proposed = Proposed::default();
+        for block in blocks(0..states.len()) {
+            let (tape, length) = (&mut self.policy_tape, block.len());
+            let sampling = (count, noise);
+            let own = Proposals::draw(tape, policy, (states, block), &columns.policy, sampling);
+            for index in 0..length * count {
+                let whole = own.of_proposal(index / count, index % count);
+                own.write(whole, &mut proposed.allocations);
+                proposed.log_probabilities.push(own.log_probability(whole));
+                proposed.entropies.push(entropy_of(&own, whole));
+            }
+        }
+        proposed
+    }
+
+    /// The values of `allocations [states, K, A]`, before PopArt's head.
+    pub(crate) fn value(
+        &mut self,
+        critic: &AllocationCritic,
+        states: &States,
+        columns: &TaskColumns,
+        allocations: &[u8],
+    ) -> Vec<f32> {
+        let Self { critic_tape, input, .. } = self;
+        let per_state = allocations.len() / states.len().max(1);
+        let mut values = Vec::new();
+        for block in blocks(0..states.len()) {
+            let own = block.map(|state| (state, &allocations[state * per_state..][..per_state]));
+            let columns = (states, &*columns.critic);
+            let (t, own) = critic.value(critic_tape, input, columns, own);
+            values.extend_from_slice(t.values(own));
+        }
+        values
+    }
+}
+
+/// The entropy of one allocation's choices, summed over its agents.
+fn entropy_of(proposals: &Proposals<'_>, whole: u32) -> f32 {
+    let parents = proposals.tree.way_back(whole).map(|prefix| prefix.parent as usize);
+    let prefix = |parent: usize| &proposals.tree.prefixes[parent];
+    parents.map(|parent| entropy(proposals.log_probabilities(prefix(parent)))).sum()
+}
 
 const AGENTS: usize = 3;
 const ENTITIES: usize = 8;
@@ -120,8 +185,8 @@ fn the_best_proposal_has_the_highest_value_behind_the_head() {
     let start = AllocationCritic::initialise(SHAPE, &mut generator(2, Purpose::Weights, 0));
     let critic = |head: f32| {
         let mut critic = start.clone();
-        let (weight, bias) = critic.head_mut();
-        (weight[0], bias[0], critic.popart.variance) = (head, 0.3, 4.0);
+        critic.parameters.values[critic.layers.head_range()].copy_from_slice(&[head, 0.3]);
+        critic.popart.variance = 4.0;
         critic
     };
     let mut chosen = Vec::new();
@@ -252,9 +317,10 @@ fn the_critic_s_gradient_agrees_with_finite_differences() {
     for state in 0..STATES {
         input.begin_state(&states);
         let columns = columns().critic;
+        let shown = Shown { shape: SHAPE, states: &states, columns: &columns };
         // Two allocations of a state share rows.
         for allocation in [states.allocation(state), states.last_allocation(state)] {
-            input.push(SHAPE, &states, state, allocation, &columns);
+            input.push(shown, state, allocation);
         }
     }
     let slopes = random(7, 2 * STATES);
@@ -319,14 +385,16 @@ fn matching(random: &mut Generator, episodes: usize) -> Windows {
 #[test]
 fn agents_learn_to_go_where_they_belong() {
     let shape = AllocationShape { features: 4, columns: 3, width: 16, heads: 2 };
-    let learning = AllocationLearning {
+    let sizes = matching(&mut generator(2, Purpose::Rollout, 0), 1).shape;
+    let usual = AllocationLearning::of(&Config::default(), sizes);
+    let config = AllocationConfig {
         proposals: 8,
-        rows: RowRules { interval: 1.0, most: 100, age_limit: 1e6 },
-        learning_rate: 5e-3,
-        shape,
-        ..Config::default()
-            .allocation_learning(matching(&mut generator(2, Purpose::Rollout, 0), 1).shape)
+        interval: 1,
+        rows: 100,
+        oldest: 1_000_000,
+        ..usual.config.clone()
     };
+    let learning = AllocationLearning { shape, config, learning_rate: 5e-3, ..usual };
     let mut level = AllocationLevel::new(learning, 1);
     let mut random = generator(1, Purpose::Rollout, 0);
     let mut surprise = Vec::new();

@@ -9,14 +9,13 @@ use sortie_nn::tape::{Gru, Parameters, Pass, Var};
 
 use super::teams::{Look, Teams};
 use crate::alma::agents::{UtilityInput, UtilityLayers};
-use crate::alma::teams::Agents;
 use crate::alma::windows::WindowShape;
 use crate::alma::windows::config::LowLevelConfig;
 
 /// Utility network and, where agents have a memory, its recurrent unit.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AgentLayers {
-    network: UtilityLayers,
+    pub(super) network: UtilityLayers,
     pub(super) unit: Option<Gru>,
 }
 
@@ -39,12 +38,6 @@ impl AgentLayers {
         marks.iter_mut().for_each(|weight| *weight *= factor);
         let unit = config.recurrent.then(|| p.gru("memory", shape.base, random));
         Self { network: UtilityLayers::of(shape), unit }
-    }
-
-    /// Those of agents that act.
-    pub(super) fn of(agents: Agents<'_>) -> Self {
-        let network = UtilityLayers::of(agents.network.shape);
-        Self { network, unit: agents.unit }
     }
 
     /// The utilities `[agents, U]` of the agents of some teams, those with a memory all of one window. What agents have
@@ -72,7 +65,8 @@ impl AgentLayers {
     fn remembering(self, t: &mut Pass<'_>, unit: Gru, look: Look<'_>, wanted: &Teams) -> Var {
         let (windows, slots) = (look.windows, look.windows.shape.agents);
         let steps = windows.shape.steps;
-        let sequence = look.in_view(look.view.sequence());
+        let mut sequence = look;
+        sequence.view = look.view.sequence();
         let ahead = sequence.view.ahead();
         let first = wanted.each().next().map_or(0, |team| team.state / steps * steps);
         let count = steps - ahead;

@@ -5,6 +5,11 @@
 //! subtask; values follow double-Q targets in PopArt's units, by RMSprop. Without subtasks there is one
 //! team and the reward of the whole.
 //!
+//! With the subtask mask an agent sees its team only; without it ("no mask") it sees everything, and a
+//! subtask's embedding is added to what `fc1` gives for an entity: further rows of `fc1` for one-hot marks
+//! behind the features. Which mark stands for which subtask is shuffled before each pass, so that no
+//! subtask is special; spare marks let one network serve more subtasks than it was trained with.
+//!
 //! A step is computed window by window, in a fixed number of lanes with gradients of their own, which are
 //! added in order: results depend neither on the number of threads nor on time.
 
@@ -13,22 +18,20 @@ pub mod coaching;
 mod mixer;
 mod step;
 mod teams;
-mod values;
 
 use std::ops::Range;
 
 use rand_core::Rng;
+use sortie_learn::networks::{AimedHead, Targets};
 use sortie_nn::lanes::in_lanes;
-use sortie_nn::layers::elementwise;
-use sortie_nn::layers::matrix::Store;
 use sortie_nn::optimise::{RmsProp, clip_norm};
 use sortie_nn::random::Generator;
 use sortie_nn::tape::Parameters;
 
 use super::popart::PopArt;
-use super::{WindowShape, Windows};
+use super::{WindowShape, Windows, add_up};
 use crate::alma::agents::{TaskOrder, UtilityShape, UtilityView};
-use crate::alma::coach::Coach;
+use crate::alma::coach::{Coach, CoachShape};
 use crate::alma::teams::Agents;
 use agents::AgentLayers;
 use coaching::{CoachConfig, CoachingLayers};
@@ -37,7 +40,6 @@ use step::{Comparison, Lane, Layers, Side, Step};
 pub use super::config::{LowLevelConfig, Nonnegative, PopArtOrder};
 pub use mixer::{HypernetworkLayers, HypernetworkShape, Mixer, MixerInput, MixerShape, Mode};
 pub use step::Term;
-pub use values::{agent_utilities, team_input, team_values};
 
 /// Parts of a step with gradients of their own.
 const LANES: usize = 8;
@@ -192,11 +194,9 @@ impl LowLevel {
         }
         let target_mean = all.clone().map(|term| term.target).sum::<f64>() / terms as f64;
         let head = step.layers.mixer.head_range();
-        let before = online.values[head.clone()].to_vec();
-        let rescale = popart.update(all.map(|term| (term.target, 1.0)));
         let own_head = &mut online.values[head.clone()];
-        let (weights, biases) = own_head.split_at_mut(before.len() / 2);
-        rescale.apply(weights, biases);
+        let before = own_head.to_vec();
+        popart.update(all.map(|term| (term.target, 1.0)), own_head);
         step.online.parameters[head].copy_from_slice(own_head);
         let head = match config.popart_order {
             PopArtOrder::RescaleFirst => &*own_head,
@@ -206,18 +206,14 @@ impl LowLevel {
         in_lanes(threads, lanes, |index, lane| {
             own(index).for_each(|states| step.descend(&comparison, states, lane));
         });
-        let gradient = &mut self.gradient;
-        gradient.clear();
-        gradient.resize(step.online.parameters.len(), 0.0);
-        for lane in lanes.iter() {
-            elementwise::scale(1.0, &lane.gradient, Store::Add, gradient);
-        }
-        step.hand_back(&mut lanes[0].tape, gradient);
+        add_up(lanes.iter().map(|lane| &lane.gradient), &mut self.gradient);
+        let merged = (step.layers.merged, &mut self.gradient);
+        step.layers.mixer.hand_back(&mut lanes[0].tape, &step.online.parameters, merged);
         let sum = |of: fn(&Lane) -> f64| self.lanes.iter().map(of).sum::<f64>();
         LowLevelReport {
             terms,
-            loss: sum(|lane| lane.sums.squared_error) / terms as f64,
-            coach_loss: sum(|lane| lane.sums.coach),
+            loss: sum(|lane| lane.squared_error) / terms as f64,
+            coach_loss: sum(|lane| lane.coach_loss),
             target: target_mean,
             gradient_norm: norm(&self.gradient),
         }
@@ -265,9 +261,59 @@ impl LowLevel {
     }
 }
 
+impl LowLevelConfig {
+    /// What the head points at in an environment of these sizes.
+    pub fn targets(&self, sizes: WindowShape) -> Targets {
+        if self.head == AimedHead::Pointing { sizes.targets } else { Targets::NONE }
+    }
+
+    /// The sizes of the agents' network in an environment of these sizes.
+    pub fn shape(&self, sizes: WindowShape) -> UtilityShape {
+        let marks = self.conditioning.task_columns(sizes.tasks + self.extra_tasks);
+        UtilityShape {
+            input: sizes.features + sizes.actions + marks,
+            width: self.width,
+            heads: self.heads,
+            base: self.base,
+            actions: sizes.actions,
+            skip: self.skip,
+            targets: self.targets(sizes),
+        }
+    }
+
+    /// The sizes of a coach in an environment of these sizes: as wide as its players.
+    pub fn coach(&self, sizes: WindowShape) -> CoachShape {
+        CoachShape {
+            features: sizes.features,
+            marks: sizes.tasks + self.extra_tasks,
+            width: self.width,
+            heads: self.heads,
+            strategy: self.base,
+        }
+    }
+
+    /// The sizes of the mixer in an environment of these sizes.
+    pub fn mixer(&self, sizes: WindowShape) -> MixerShape {
+        let tasks = if self.conditioning.has_subtasks() { sizes.tasks } else { 1 };
+        let marks = self.conditioning.task_columns(sizes.tasks);
+        MixerShape {
+            hypernetwork: HypernetworkShape {
+                input: sizes.features + sizes.actions + marks,
+                width: self.hypernetwork_width,
+                heads: self.hypernetwork_heads,
+                mixing: self.mixing,
+            },
+            slots: sizes.agents,
+            outputs: if self.popart_per_task { tasks } else { 1 },
+            nonnegative: self.nonnegative,
+            bias_nonnegative: self.bias_nonnegative,
+        }
+    }
+}
+
 fn norm(vector: &[f32]) -> f32 {
     vector.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt() as f32
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

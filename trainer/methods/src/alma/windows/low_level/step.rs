@@ -49,7 +49,6 @@ pub(super) struct Side {
     pub(super) parameters: Vec<f32>,
     /// Marks of the agents' input.
     pub(super) order: TaskOrder,
-    /// Marks of the coach's input.
     pub(super) coach_order: TaskOrder,
     /// What strategies are drawn with.
     pub(super) seed: u64,
@@ -64,9 +63,7 @@ pub(super) struct Step<'a> {
     pub(super) online: Side,
     /// Those that value what comes next.
     pub(super) target: Side,
-    /// Marks of the mixer's input.
     pub(super) mixer_order: TaskOrder,
-    /// Marks of the recognition's input.
     pub(super) recognition_order: TaskOrder,
 }
 
@@ -85,20 +82,11 @@ pub(super) struct Comparison<'a> {
     pub(super) popart: &'a PopArt,
     /// The head's weights, then its biases, by which they are compared; gradients go through those that learn.
     pub(super) head: &'a [f32],
-    /// Terms of the whole loss.
     pub(super) terms: usize,
 }
 
-/// Sums over the terms of a lane.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Sums {
-    pub(super) squared_error: f64,
-    /// What a coach adds to the loss.
-    pub(super) coach: f64,
-}
-
 /// The part of a step that one lane does: its buffers and what it finds.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Lane {
     pub(super) tape: Tape,
     teams: Teams,
@@ -106,36 +94,25 @@ pub(super) struct Lane {
     pub(super) terms: Vec<Term>,
     /// Terms whose gradients have been computed.
     done: usize,
-    pub(super) sums: Sums,
+    /// Sum over its terms.
+    pub(super) squared_error: f64,
+    /// What a coach adds to the loss.
+    pub(super) coach_loss: f64,
     pub(super) gradient: Vec<f32>,
     pub(super) operations: u64,
-}
-
-impl Clone for Lane {
-    /// A lane of its own: what lanes hold is forgotten in the next step.
-    fn clone(&self) -> Self {
-        Self::default()
-    }
 }
 
 impl Lane {
     /// Forgets the step before; there are so many parameters.
     pub(super) fn begin(&mut self, parameters: usize) {
         self.terms.clear();
-        self.done = 0;
-        self.sums = Sums::default();
+        (self.done, self.squared_error, self.coach_loss) = (0, 0.0, 0.0);
         self.gradient.clear();
         self.gradient.resize(parameters, 0.0);
     }
 }
 
 impl<'a> Step<'a> {
-    /// Takes the gradient of the merged layers to that of what they follow from.
-    pub(super) fn hand_back(&self, tape: &mut Tape, gradient: &mut Vec<f32>) {
-        let Layers { mixer, merged, .. } = self.layers;
-        mixer.hand_back(tape, &self.online.parameters, (merged, gradient));
-    }
-
     /// The states that can be learned from.
     pub(super) fn states(&self) -> Vec<usize> {
         let live = |state: &usize| self.leads_on(*state) && self.tasks(*state).next().is_some();
@@ -276,12 +253,9 @@ impl<'a> Step<'a> {
             for task in self.tasks(*state) {
                 let (target, last) = self.returns(*state, task);
                 let term = terms.len();
-                bootstrapped.extend(last.map(|(state, discount)| Bootstrapped {
-                    state,
-                    task,
-                    term,
-                    discount,
-                }));
+                let follows =
+                    last.map(|(state, discount)| Bootstrapped { state, task, term, discount });
+                bootstrapped.extend(follows);
                 terms.push(Term { state: *state, task: task.unwrap_or(0), target });
             }
         }
@@ -292,7 +266,7 @@ impl<'a> Step<'a> {
     /// Adds to a lane the gradients of its next terms, which are those of some states of a window.
     pub(super) fn descend(&self, comparison: &Comparison<'_>, states: &[usize], lane: &mut Lane) {
         let (windows, shape) = (self.windows, self.windows.shape);
-        let Lane { tape, teams, input, sums, .. } = lane;
+        let Lane { tape, teams, input, squared_error, coach_loss, .. } = lane;
         teams.clear();
         for state in states {
             for task in self.tasks(*state) {
@@ -314,13 +288,14 @@ impl<'a> Step<'a> {
         let taken: Vec<u32> = taken.map(|place| windows.actions[place].into()).collect();
         let raw = self.mixed(&mut t, (look, strategies), (teams, input), &taken);
         let outputs: Vec<u32> = terms.iter().map(|term| self.output(term.task)).collect();
-        let slopes = compare(comparison, t.values(raw).iter().zip(&outputs).zip(terms), sums);
+        let compared = t.values(raw).iter().zip(&outputs).zip(terms);
+        let slopes = comparison.slopes(compared, squared_error);
         let values = self.layers.mixer.head(&mut t, raw, &outputs);
         let mut loss = t.weighted_sum(values, &slopes);
         if let Some((coaching, told)) = told {
             let order = (windows, &self.recognition_order);
             let own = coaching.loss(&mut t, order, (states, comparison.terms), told);
-            sums.coach += f64::from(t.values(own)[0]);
+            *coach_loss += f64::from(t.values(own)[0]);
             loss = t.add(loss, own);
         }
         t.backward(loss, &mut lane.gradient);
@@ -328,18 +303,20 @@ impl<'a> Step<'a> {
     }
 }
 
-/// The slopes of the loss by the values of some terms, which come with their values before the head and its outputs.
-fn compare<'t>(
-    Comparison { popart, head, terms }: &Comparison<'_>,
-    compared: impl Iterator<Item = ((&'t f32, &'t u32), &'t Term)>,
-    sums: &mut Sums,
-) -> Vec<f32> {
-    let (weights, biases) = head.split_at(head.len() / 2);
-    let slope = |((raw, output), term): ((&f32, &u32), &Term)| {
-        let value = weights[*output as usize] * raw + biases[*output as usize];
-        let error = f64::from(value) - popart.normalise(term.target);
-        sums.squared_error += error * error;
-        (2.0 * error / *terms as f64) as f32
-    };
-    compared.map(slope).collect()
+impl Comparison<'_> {
+    /// The slopes of the loss by the values of some terms, which come with their values before the head and its outputs.
+    fn slopes<'t>(
+        &self,
+        compared: impl Iterator<Item = ((&'t f32, &'t u32), &'t Term)>,
+        squared_error: &mut f64,
+    ) -> Vec<f32> {
+        let (weights, biases) = self.head.split_at(self.head.len() / 2);
+        let slope = |((raw, output), term): ((&f32, &u32), &Term)| {
+            let value = weights[*output as usize] * raw + biases[*output as usize];
+            let error = f64::from(value) - self.popart.normalise(term.target);
+            *squared_error += error * error;
+            (2.0 * error / self.terms as f64) as f32
+        };
+        compared.map(slope).collect()
+    }
 }

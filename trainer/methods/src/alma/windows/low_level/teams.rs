@@ -47,39 +47,7 @@ impl Scene<'_> {
     }
 }
 
-/// Rows of many states; each entity of a state gets a row when it is first asked for.
-#[derive(Clone, Debug, Default)]
-struct Places {
-    /// `[N]`: the row of every entity of the current state, or [`NOWHERE`].
-    rows: Vec<u32>,
-}
-
 const NOWHERE: u32 = u32::MAX;
-
-impl Places {
-    /// Begins a state whose `agents` have rows already, from row `first` on.
-    pub(super) fn begin(&mut self, entities: usize, first: usize, agents: &[u8]) {
-        self.rows.clear();
-        self.rows.resize(entities, NOWHERE);
-        for (row, agent) in (first..).zip(agents) {
-            self.rows[usize::from(*agent)] = row as u32;
-        }
-    }
-
-    /// The row of an entity, which is added where it has none.
-    pub(super) fn row(
-        &mut self,
-        look: Look<'_>,
-        (scene, entity): (Scene<'_>, usize),
-        rows: &mut SparseRows,
-    ) -> usize {
-        if self.rows[entity] == NOWHERE {
-            self.rows[entity] = rows.len() as u32;
-            look.write(scene, entity, rows);
-        }
-        self.rows[entity] as usize
-    }
-}
 
 /// How states are looked at, from the state that a team belongs to.
 #[derive(Clone, Copy, Debug)]
@@ -160,14 +128,19 @@ impl<'a> Look<'a> {
         rows.end_row();
     }
 
-    /// The same in another view.
-    pub(super) fn in_view(self, view: View) -> Self {
-        Self { view, ..self }
-    }
-
-    /// Whether an entity belongs to a subtask: all do, unless subtasks mask.
-    fn belongs(self, scene: Scene<'_>, entity: usize, task: usize) -> bool {
-        self.conditioning != Conditioning::Mask || usize::from(scene.task(entity)) == task
+    /// The row of an entity, which is added where it has none.
+    fn row(
+        self,
+        scene: Scene<'_>,
+        entity: usize,
+        places: &mut [u32],
+        rows: &mut SparseRows,
+    ) -> usize {
+        if places[entity] == NOWHERE {
+            places[entity] = rows.len() as u32;
+            self.write(scene, entity, rows);
+        }
+        places[entity] as usize
     }
 }
 
@@ -186,7 +159,8 @@ pub(super) struct Team {
 pub(super) struct Teams {
     teams: Vec<Team>,
     agents: Vec<u8>,
-    places: Places,
+    /// `[N]`: the row of every entity of the current state, or [`NOWHERE`] until it is asked for.
+    places: Vec<u32>,
 }
 
 impl Teams {
@@ -236,14 +210,14 @@ impl Teams {
                 for entity in 0..look.windows.shape.entities {
                     if scene.observes(agent, entity) && (!masked || scene.share_task(agent, entity))
                     {
-                        let row = places.row(look, (scene, entity), &mut input.rows);
+                        let row = look.row(scene, entity, places, &mut input.rows);
                         input.visible.push(row);
                         seen |= 1 << entity;
                     }
                 }
                 let query = input.visible.queries() as u32;
                 input.visible.end_list();
-                let row = |entity: usize| places.rows[entity] as usize;
+                let row = |entity: usize| places[entity] as usize;
                 input.aims.push((query, scene.features(agent)), seen, row);
             }
         }
@@ -258,12 +232,14 @@ impl Teams {
             look.write(look.view.of(look.windows, state), agent, &mut input.rows);
         }
         let Self { teams, agents, places } = self;
+        let masked = look.conditioning == Conditioning::Mask;
         for scene_teams in teams.chunk_by(|a, b| a.state == b.state) {
             let (scene, _) = begin(look, scene_teams, agents, places);
             for team in scene_teams {
                 for entity in 0..look.windows.shape.entities {
-                    if scene.present(entity) && look.belongs(scene, entity, team.task) {
-                        let row = places.row(look, (scene, entity), &mut input.rows);
+                    let belongs = !masked || usize::from(scene.task(entity)) == team.task;
+                    if scene.present(entity) && belongs {
+                        let row = look.row(scene, entity, places, &mut input.rows);
                         input.teams.push(row);
                     }
                 }
@@ -273,16 +249,18 @@ impl Teams {
     }
 }
 
-/// Begins the state of some teams; returns what there is to see and their agents.
+/// Begins the state of some teams, whose agents have rows already; returns what there is to see and their agents.
 fn begin<'a, 'w>(
     look: Look<'w>,
     teams: &[Team],
     agents: &'a [u8],
-    places: &mut Places,
+    places: &mut Vec<u32>,
 ) -> (Scene<'w>, &'a [u8]) {
     let span = teams[0].agents.start..teams[teams.len() - 1].agents.end;
     let own = &agents[span.clone()];
-    places.begin(look.windows.shape.entities, span.start, own);
+    places.clear();
+    places.resize(look.windows.shape.entities, NOWHERE);
+    span.zip(own).for_each(|(row, agent)| places[usize::from(*agent)] = row as u32);
     (look.view.of(look.windows, teams[0].state), own)
 }
 

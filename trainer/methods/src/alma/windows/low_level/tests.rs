@@ -5,9 +5,11 @@ use sortie_learn::networks::Targets;
 use sortie_nn::gradient_check::assert_gradient;
 use sortie_nn::layers::SparseRows;
 use sortie_nn::random::signed_unit;
+use sortie_nn::tape::Tape;
 
+use super::teams::{Look, Teams, View};
 use super::*;
-use crate::alma::agents::Conditioning;
+use crate::alma::agents::{Conditioning, UtilityLayers};
 use crate::alma::records::config::ReturnsConfig;
 use crate::alma::windows::{NO_ACTION, NO_TASK};
 use sortie_learn::random::{Purpose, generator};
@@ -42,6 +44,82 @@ fn learner(config: LowLevelConfig, sizes: WindowShape) -> LowLevel {
     let other = &mut generator(2, Purpose::Weights, 0);
     learner.target = LowLevel::new(learner.config.clone(), sizes, other).online.values;
     learner
+}
+
+/// The utilities `[W S, A, U]` in all states as the learner computes them, zeros for absent agents.
+/// Memories are empty at the begin of a window.
+pub(crate) fn agent_utilities(
+    agents: Agents<'_>,
+    windows: &Windows,
+    conditioning: Conditioning,
+    order: &TaskOrder,
+) -> Vec<f32> {
+    let parameters = agents.network.parameters;
+    let network = UtilityLayers::of(agents.network.shape);
+    let layers = AgentLayers { network, unit: agents.unit };
+    let look = Look::new((windows, View::NOW), (conditioning, order), agents.network.shape.targets);
+    let WindowShape { windows: count, steps, agents, actions, .. } = windows.shape;
+    let mut utilities = vec![0.0; windows.shape.states() * agents * actions];
+    let mut tape = Tape::default();
+    for window in 0..count {
+        let states = window * steps..(window + 1) * steps;
+        let mut teams = teams(windows, states, Conditioning::None);
+        let mut t = tape.begin(parameters);
+        let rows = layers.utilities(&mut t, look, &mut teams, None);
+        for (row, (state, agent)) in t.values(rows).chunks_exact(actions).zip(teams.agents()) {
+            utilities[(state * agents + agent) * actions..][..actions].copy_from_slice(row);
+        }
+    }
+    utilities
+}
+
+/// The teams of some states: of every subtask, whether it has agents or not; without subtasks, everybody.
+fn teams(windows: &Windows, states: Range<usize>, conditioning: Conditioning) -> Teams {
+    let mut teams = Teams::default();
+    for state in states {
+        let scene = View::NOW.of(windows, state);
+        if conditioning.has_subtasks() {
+            (0..windows.shape.tasks).for_each(|task| teams.push(scene, state, Some(task)));
+        } else {
+            teams.push(scene, state, None);
+        }
+    }
+    teams
+}
+
+/// What a mixer sees of all teams of all states, and state and number of every agent in its order.
+pub(crate) fn team_input(
+    windows: &Windows,
+    conditioning: Conditioning,
+) -> (MixerInput, Vec<(usize, usize)>) {
+    let mut teams = teams(windows, 0..windows.shape.states(), conditioning);
+    let order = TaskOrder::identity(windows.shape.tasks);
+    let mut input = MixerInput::default();
+    let look = Look::new((windows, View::NOW), (conditioning, &order), windows.shape.targets);
+    teams.write_mixer(look, &mut input);
+    (input, teams.agents().collect())
+}
+
+/// The values `[W S, T]` of all teams in normalised units, without subtasks `[W S]`, from the utilities
+/// `[W S, A]` of what the agents do; `parameters` are those among which the mixer's are.
+pub(crate) fn team_values(
+    mixer: Mixer,
+    parameters: &[f32],
+    windows: &Windows,
+    conditioning: Conditioning,
+    utilities: &[f32],
+) -> Vec<f32> {
+    let (input, agents) = team_input(windows, conditioning);
+    let own = agents.iter().map(|(state, agent)| utilities[state * windows.shape.agents + agent]);
+    let own: Vec<f32> = own.collect();
+    let (mut tape, mut all) = (Tape::default(), parameters.to_vec());
+    mixer.append_merged(&mut tape, &mut all);
+    let mut t = tape.begin(&all);
+    let utilities = t.input(1, &own);
+    let values = mixer.mix(&mut t, parameters.len(), &input, utilities);
+    let outputs = (0..mixer.shape.outputs as u32).cycle().take(input.teams.teams());
+    let values = mixer.head(&mut t, values, &outputs.collect::<Vec<_>>());
+    t.values(values).to_vec()
 }
 
 /// Entities come and go, agents are allocated anew now and then, nobody sees everything.
@@ -319,5 +397,4 @@ fn orders_of_marks_are_permutations_and_differ() {
         assert_eq!(columns, [0, 1, 2, 3, 4]);
     }
     assert!(orders.iter().any(|order| *order != orders[0]));
-    assert_eq!(TaskOrder::of_columns(&[2, 0, 1]), TaskOrder(vec![1, 2, 0]));
 }

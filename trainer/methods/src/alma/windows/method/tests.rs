@@ -1,6 +1,6 @@
 use super::*;
 use crate::alma::agents::{Conditioning, NO_ACTION, TaskOrder, UtilityShape};
-use crate::alma::windows::low_level::agent_utilities;
+use crate::alma::windows::low_level::tests::agent_utilities;
 use sortie_envs::{EntitySet, Observation, Split, Step};
 use sortie_learn::Scene;
 use sortie_learn::play::{self, Play};
@@ -174,8 +174,7 @@ fn agents_see_in_windows_what_they_saw_when_they_acted() {
         level.online.values[start * width..end * width].fill(0.3);
         let mut weights = generator(1, Purpose::Weights, 0);
 
-        let shaping = Shaping::default();
-        let sample = SampleShape { windows: 2, steps: 160, shaping };
+        let sample = SampleShape { windows: 2, steps: 160, ..SampleShape::default() };
         let city = city(&config);
         let windows = cut_windows(&*city, &replay, &replay.episodes(), sample, &mut weights);
         let (order, slots) = (TaskOrder::identity(6), windows.shape.agents);

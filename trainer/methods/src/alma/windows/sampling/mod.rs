@@ -86,22 +86,15 @@ impl Replay {
     }
 }
 
-/// How a batch is cut, and what is added to its rewards.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// How a batch is cut, and what is added to its rewards for coming nearer, by the environment's potential; nothing by default.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SampleShape {
     /// Episodes to draw, and windows to cut.
     pub windows: usize,
     /// States of a window.
     pub steps: usize,
-    /// What is added to its rewards.
-    pub shaping: Shaping,
-}
-
-/// Rewards for coming nearer, by the environment's potential; none by default.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Shaping {
     /// Potential of a step that is missing between an agent and its subtask.
-    pub scale: f32,
+    pub shaping: f32,
     /// Discount of a step.
     pub discount: f32,
 }
@@ -154,8 +147,8 @@ pub fn cut_windows(
     } else {
         stretches(drawn, steps, generator)
     };
-    let (shaping, seen) = (sample.shaping, Observation::default());
-    let mut writer = Writer { environment, replay, shaping, windows, seen };
+    let seen = Observation::default();
+    let mut writer = Writer { environment, replay, sample, windows, seen };
     for (state, place) in places.into_iter().enumerate() {
         match place {
             Some(place) => writer.write(state, place),
@@ -197,7 +190,7 @@ fn stretches(episodes: &[Episode], steps: usize, generator: &mut Generator) -> V
 struct Writer<'a> {
     environment: &'a dyn Environment,
     replay: &'a Replay,
-    shaping: Shaping,
+    sample: SampleShape,
     windows: Windows,
     seen: Observation,
 }
@@ -263,7 +256,7 @@ impl Writer<'_> {
 
     /// What the step from a state came to; the state behind it is seen.
     fn write_outcome(&mut self, state: usize, place: Place) {
-        let Self { replay, windows, seen, shaping, .. } = self;
+        let Self { replay, windows, seen, sample, .. } = self;
         let WindowShape { steps, tasks, .. } = windows.shape;
         let own_tasks = state * tasks..(state + 1) * tasks;
         for (task, terminated) in windows.task_terminated[own_tasks.clone()].iter_mut().enumerate()
@@ -276,19 +269,20 @@ impl Writer<'_> {
         windows.reset[state] = end != End::Open;
         windows.terminated[state] = end == End::Over;
         windows.has_transition[state] = state % steps + 1 < steps;
-        if shaping.scale != 0.0 {
+        if sample.shaping != 0.0 {
             self.shape(state, place);
         }
     }
 
     /// Adds to the rewards of a step what its end is nearer than its beginning.
     fn shape(&mut self, state: usize, place: Place) {
-        let Self { environment, replay, windows, shaping: Shaping { scale, discount }, .. } = self;
+        let Self { environment, replay, windows, sample, .. } = self;
+        let SampleShape { shaping, discount, .. } = *sample;
         let WindowShape { agents, entities, tasks, .. } = windows.shape;
         let gain = |team: AgentSet, task: Option<usize>, ends: bool| {
-            let potential = |place| environment.potential(replay.state(place), *scale, team, task);
+            let potential = |place| environment.potential(replay.state(place), shaping, team, task);
             let before = potential(place);
-            if ends { -before } else { *discount * potential(place.after(1)) - before }
+            if ends { -before } else { discount * potential(place.after(1)) - before }
         };
         let present = &windows.present[state * entities..][..agents];
         let team = |task: Option<usize>| {
@@ -300,12 +294,10 @@ impl Writer<'_> {
         };
         for task in 0..tasks {
             let own = state * tasks + task;
-            match team(Some(task)) {
-                0 => {}
-                team => {
-                    let ends = windows.task_terminated[own];
-                    windows.task_reward[own] += gain(team, Some(task), ends);
-                }
+            let team = team(Some(task));
+            if team != 0 {
+                let ends = windows.task_terminated[own];
+                windows.task_reward[own] += gain(team, Some(task), ends);
             }
         }
         windows.reward[state] += gain(team(None), None, windows.terminated[state]);

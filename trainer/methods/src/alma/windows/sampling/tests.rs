@@ -4,8 +4,7 @@ use sortie_envs::{Split, Step, members};
 
 use super::*;
 
-const SAMPLE: SampleShape =
-    SampleShape { windows: 4, steps: 8, shaping: Shaping { scale: 0.0, discount: 0.0 } };
+const SAMPLE: SampleShape = SampleShape { windows: 4, steps: 8, shaping: 0.0, discount: 0.0 };
 
 fn city() -> Box<dyn Environment> {
     sortie_envs::open("save-the-city/2-5a_2-5b", Split::Train, 1, &Default::default()).unwrap()
@@ -204,8 +203,8 @@ fn shaping_pays_for_coming_nearer_and_takes_it_back_at_an_end() {
             |at, task| city.potential(replay.state(first.after(at)), scale, everybody, task);
         let rewards = |step| replay.steps.rewards(first.after(step));
         let shaped = |discount| {
-            let shaping = Shaping { scale, discount };
-            cut(&replay, &[index], SampleShape { steps: 20, shaping, ..SAMPLE }, 4)
+            let sample = SampleShape { steps: 20, shaping: scale, discount, ..SAMPLE };
+            cut(&replay, &[index], sample, 4)
         };
         // Without discount all that was added for the whole team is what its last state has and its first has not;
         // what comes after a true end is worth nothing.

@@ -10,12 +10,13 @@
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
+
 use sortie_nn::random::{Generator, normals, stream};
 use sortie_nn::tape::{Parameters, Pass, Var};
 
 use crate::alma::agents::{TaskOrder, UtilityInput};
-use crate::alma::coach::gaussian::entropies;
-use crate::alma::coach::{CoachLayers, CoachShape, RecognitionLayers};
+use crate::alma::coach::{CoachLayers, CoachShape, RecognitionLayers, entropies};
 use crate::alma::windows::Windows;
 
 pub use crate::alma::windows::config::CoachConfig;
@@ -49,25 +50,24 @@ pub fn state_input(
         }
         input.rows.end_row();
     };
-    let present = |state: usize, entities: std::ops::Range<usize>| {
+    let present = |state: usize, entities: Range<usize>| {
         entities.filter(move |entity| windows.present[state * sizes.entities + entity])
     };
-    let agents = |state: usize| present(state, 0..sizes.agents);
-    let others = |state: usize| present(state, sizes.agents..sizes.entities);
-    for state in states {
-        agents(*state).for_each(|agent| write(*state, agent));
+    let kinds = [0..sizes.agents, sizes.agents..sizes.entities];
+    for kind in &kinds {
+        for state in states {
+            present(*state, kind.clone()).for_each(|entity| write(*state, entity));
+        }
     }
-    for state in states {
-        others(*state).for_each(|other| write(*state, other));
-    }
-    let (mut own, mut other) = (0, states.iter().map(|state| agents(*state).count()).sum());
-    for state in states {
-        let (own_end, other_end) = (own + agents(*state).count(), other + others(*state).count());
-        for _ in own..own_end {
-            (own..own_end).chain(other..other_end).for_each(|row| input.visible.push(row));
+    let counts = |state: &usize| kinds.clone().map(|kind| present(*state, kind).count());
+    let (mut own, mut other) = (0, states.iter().map(|state| counts(state)[0]).sum());
+    for [agents, others] in states.iter().map(counts) {
+        for _ in 0..agents {
+            let rows = (own..own + agents).chain(other..other + others);
+            rows.for_each(|row| input.visible.push(row));
             input.visible.end_list();
         }
-        (own, other) = (own_end, other_end);
+        (own, other) = (own + agents, other + others);
     }
 }
 

@@ -10,9 +10,7 @@ use crate::alma::agents::{Conditioning, TaskOrder, UtilityInput};
 use crate::alma::coach::{Advice, Coach, seen_input};
 use crate::alma::windows::low_level::tests::{SIZES, config, draws, random_windows};
 use crate::alma::windows::low_level::{LowLevel, LowLevelConfig};
-use crate::alma::windows::{
-    NO_TASK, Note, Replay, SampleShape, Shaping, WindowShape, Windows, cut_windows,
-};
+use crate::alma::windows::{NO_TASK, Note, Replay, SampleShape, WindowShape, Windows, cut_windows};
 
 const SHAPE: CoachShape = CoachShape { features: 5, marks: 3, width: 8, heads: 2, strategy: 6 };
 
@@ -145,7 +143,7 @@ fn a_coach_sees_the_same_where_agents_play_and_where_they_learn() {
         next: &state,
     };
     replay.push(&transition, &vec![NO_TASK; agents], Note { decision: true, added: 0 });
-    let sample = SampleShape { windows: 1, steps: 2, shaping: Shaping::default() };
+    let sample = SampleShape { windows: 1, steps: 2, ..SampleShape::default() };
     let windows = cut_windows(&*world, &replay, &replay.episodes(), sample, &mut draws());
 
     let shape = CoachShape { features, marks: tasks, ..SHAPE };

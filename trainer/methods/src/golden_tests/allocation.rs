@@ -1,16 +1,18 @@
 //! The allocation networks and one step of their learner against the reference's.
 
+use crate::alma::windows::allocation::{
+    AllocationCritic, AllocationLearning, AllocationLevel, AllocationNetworks, AllocationPolicy,
+    AllocationShape, Decider, Noise, States, StepDraws, TaskColumns,
+};
+use crate::alma::windows::config::AllocationConfig;
+use crate::alma::windows::{Config, NO_TASK, PopArt, WindowShape, Windows};
 use sortie_learn::networks::Targets;
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::alma::windows::allocation::{
-    AllocationCritic, AllocationLearning, AllocationLevel, AllocationNetworks, AllocationPolicy,
-    AllocationShape, Decider, Noise, RowRules, States, StepDraws, TaskColumns,
-};
-use sortie_methods::alma::windows::{Config, NO_TASK, PopArt, WindowShape, Windows};
 
+use super::assert_close;
 use super::coach::columns as rows_of;
+use super::files::{Case, Tensor, json_cases, safetensors_case};
 use super::windows::{task_of, windows};
-use crate::files::{Case, Tensor, assert_close, json_cases, safetensors_case};
 
 const HEADS: usize = 4;
 
@@ -225,16 +227,15 @@ fn recorded_level() -> (AllocationLevel, Case) {
         critic
     };
     let policy = policy(&case, "w/policy.");
-    let usual = Config::default().allocation_learning(windows(&case).shape);
-    let learning = AllocationLearning {
-        shape: policy.shape,
-        proposals: 4,
-        rows: RowRules { interval: 3.0, most: 400, age_limit: 150_000.0 },
-        as_public_code: true,
-        ..usual
-    };
+    let usual = AllocationLearning::of(&Config::default(), windows(&case).shape);
+    let config = AllocationConfig { proposals: 4, interval: 3, ..usual.config.clone() };
+    assert_eq!((config.rows, config.oldest), (400, 150_000));
+    let (shape, as_public_code) = (policy.shape, true);
+    let learning = AllocationLearning { shape, config, as_public_code, ..usual };
     let (online, target) = (with_statistics("w/critic."), with_statistics("target_w/critic."));
-    (AllocationLevel::with_networks(learning, online, policy, target), case)
+    let mut level = AllocationLevel::new(learning, 1);
+    (level.critic, level.policy, level.target) = (online, policy, target);
+    (level, case)
 }
 
 fn recorded_draws(noise: &[f32]) -> StepDraws<'_> {

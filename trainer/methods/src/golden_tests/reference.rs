@@ -1,10 +1,10 @@
 //! Weights and masks of the reference's low level as ours.
 
+use crate::alma::agents::{TaskOrder, UtilityNetwork, UtilityShape, transpose};
+use crate::alma::windows::{NO_TASK, WindowShape, Windows};
 use sortie_learn::networks::Targets;
-use sortie_methods::alma::agents::{UtilityNetwork, UtilityShape, transpose};
-use sortie_methods::alma::windows::{NO_TASK, WindowShape, Windows};
 
-use crate::files::Case;
+use super::files::Case;
 
 /// The reference's names of the four hypernetworks, in our order.
 const HYPERNETWORKS: [&str; 4] = ["hyper_w_1", "hyper_b_1", "hyper_w_final", "V"];
@@ -112,4 +112,11 @@ pub(crate) fn states(case: &Case, agents: usize, actions: usize) -> Windows {
         windows.observable = seen.map(|v| v == 0.0).collect();
     }
     windows
+}
+
+/// The columns of tasks, where the reference says which task each column stands for.
+pub(crate) fn order(case: &Case) -> TaskOrder {
+    let tasks = &case.get("in/task_perm").data;
+    let column = |task: usize| tasks.iter().position(|it| *it == task as f64);
+    TaskOrder((0..tasks.len()).map(|task| column(task).expect("all tasks") as u16).collect())
 }

@@ -1,8 +1,8 @@
 //! PopArt's statistics and its rescaled head against the reference's.
 
-use sortie_methods::alma::windows::PopArt;
+use crate::alma::windows::PopArt;
 
-use crate::files::{Tensor, json_file, json_tensor};
+use super::files::{Tensor, json_file, json_tensor};
 
 #[test]
 fn popart_agrees() {
@@ -13,16 +13,20 @@ fn popart_agrees() {
         let shared = case["config"]["shared_stats_over_outputs"].as_bool().expect("a switch");
         let groups = if shared { 1 } else { outputs };
         let mut popart = vec![PopArt::default(); groups];
-        let (mut weights, mut biases) = (vec![1.0; outputs], vec![0.0; outputs]);
+        let (mut weights, mut biases) = (vec![1.0_f32; outputs], vec![0.0_f32; outputs]);
         for step in case["steps"].as_array().expect("steps") {
             let tensor = |name: &str| json_tensor(&step[name]);
             let (targets, mask) = (tensor("targets"), tensor("mask"));
             for (group, popart) in popart.iter_mut().enumerate() {
                 let own = targets.data.iter().zip(&mask.data).enumerate();
                 let own = own.filter(|(index, _)| index % groups == group);
-                let rescale = popart.update(own.map(|(_, (target, mask))| (*target, *mask)));
+                let own = own.map(|(_, (target, mask))| (*target, *mask));
                 let outputs = if shared { 0..outputs } else { group..group + 1 };
-                rescale.apply(&mut weights[outputs.clone()], &mut biases[outputs]);
+                let mut head = [&weights[outputs.clone()], &biases[outputs.clone()]].concat();
+                popart.update(own, &mut head);
+                let (own_weights, own_biases) = head.split_at(outputs.len());
+                weights[outputs.clone()].copy_from_slice(own_weights);
+                biases[outputs].copy_from_slice(own_biases);
             }
             let of = |index: usize| &popart[index % groups];
             let normalised = targets.data.iter().enumerate();

@@ -2,29 +2,23 @@
 
 use serde_json::Value;
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::alma::agents::{Conditioning, TaskOrder};
-use sortie_methods::alma::teams::Agents;
-use sortie_methods::alma::windows::PopArt;
-use sortie_methods::alma::windows::low_level::HypernetworkLayers;
-use sortie_methods::alma::windows::low_level::HypernetworkShape;
-use sortie_methods::alma::windows::low_level::LowLevel;
-use sortie_methods::alma::windows::low_level::LowLevelConfig;
-use sortie_methods::alma::windows::low_level::Mixer;
-use sortie_methods::alma::windows::low_level::MixerShape;
-use sortie_methods::alma::windows::low_level::Mode;
-use sortie_methods::alma::windows::low_level::Nonnegative;
-use sortie_methods::alma::windows::low_level::PopArtOrder;
-use sortie_methods::alma::windows::low_level::agent_utilities;
-use sortie_methods::alma::windows::low_level::team_input;
-use sortie_methods::alma::windows::low_level::team_values;
 use sortie_nn::layers::gru::{GruPass, GruShape};
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::softmax;
 use sortie_nn::optimise::RmsProp;
 use sortie_nn::tape::{Parameters, Places, Tape};
 
+use super::assert_close;
+use super::files::{Case, json_cases, json_file, safetensors_case};
 use super::{reference, windows};
-use crate::files::{Case, assert_close, json_cases, json_file, safetensors_case};
+use crate::alma::agents::Conditioning;
+use crate::alma::teams::Agents;
+use crate::alma::windows::PopArt;
+use crate::alma::windows::low_level::tests::{agent_utilities, team_input, team_values};
+use crate::alma::windows::low_level::{
+    HypernetworkLayers, HypernetworkShape, LowLevel, LowLevelConfig, Mixer, MixerShape, Mode,
+    Nonnegative, PopArtOrder,
+};
 
 /// The cases of a file with their switches.
 fn configured(group: &str) -> Vec<(Value, Case)> {
@@ -151,8 +145,7 @@ fn agents_that_see_everything_agree() {
         let [.., agents, actions] = want.shape[..] else { panic!("sizes") };
         let network = reference::agents(&case, "w/", 4);
         let states = reference::states(&case, agents, actions);
-        let order = case.get("in/task_perm").data.iter().map(|task| *task as usize);
-        let order = TaskOrder::of_columns(&order.collect::<Vec<_>>());
+        let order = reference::order(&case);
         let agents = Agents::new(network.view());
         let utilities = agent_utilities(agents, &states, Conditioning::Input, &order);
         assert_close(&case.name, &utilities, &want.data);

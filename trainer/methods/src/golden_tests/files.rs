@@ -105,11 +105,3 @@ pub(crate) fn safetensors_case(part: &str, group: &str) -> Case {
     }
     Case { name: group.to_owned(), tensors }
 }
-
-pub(crate) fn assert_close(what: &str, got: &[f32], want: &[f64]) {
-    assert_eq!(got.len(), want.len(), "{what}");
-    for (index, (got, want)) in got.iter().zip(want).enumerate() {
-        let error = (f64::from(*got) - want).abs();
-        assert!(error <= 1e-5 + 1e-5 * want.abs(), "{what}[{index}]: {got} against {want}");
-    }
-}

@@ -3,10 +3,10 @@
 //! The reference's masks say what is absent, blocked or no member; they are turned round here. Its last
 //! actions reach over the end of an episode, which is kept, so that the steps agree.
 
+use crate::alma::windows::{NO_TASK, WindowShape, Windows};
 use sortie_learn::networks::Targets;
-use sortie_methods::alma::windows::{NO_TASK, WindowShape, Windows};
 
-use crate::files::{Case, safetensors_case};
+use super::files::{Case, safetensors_case};
 
 /// The windows of a recorded case.
 pub(crate) fn windows(case: &Case) -> Windows {

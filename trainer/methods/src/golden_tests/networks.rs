@@ -1,14 +1,15 @@
 //! The layers against the reference's modules, on recorded inputs (`tests/golden/networks`).
 
-use sortie_methods::alma::agents::{UtilityInput, UtilityLayers};
+use crate::alma::agents::{UtilityInput, UtilityLayers};
 use sortie_nn::layers::attention::{self, AttentionShape};
 use sortie_nn::layers::linear::{self, LinearShape};
 use sortie_nn::layers::matrix::Store;
 use sortie_nn::layers::{SparseRows, VisibleLists};
 use sortie_nn::tape::Tape;
 
+use super::assert_close;
+use super::files::{Case, json_cases, safetensors_case};
 use super::reference::agents;
-use crate::files::{Case, assert_close, json_cases, safetensors_case};
 
 /// Entities of several samples: rows of agents first, then the others, as the learner orders them.
 struct Order {

@@ -1,13 +1,14 @@
 //! COPA's coach and recognition network against the reference's modules.
 
+use crate::alma::agents::UtilityInput;
+use crate::alma::coach::{CoachLayers, CoachShape, RecognitionLayers};
+use crate::alma::windows::low_level::coaching::state_input;
 use sortie_learn::random::{Purpose, generator};
-use sortie_methods::alma::agents::{TaskOrder, UtilityInput};
-use sortie_methods::alma::coach::{CoachLayers, CoachShape, RecognitionLayers};
-use sortie_methods::alma::windows::low_level::coaching::state_input;
 use sortie_nn::tape::{Parameters, Tape};
 
+use super::assert_close;
+use super::files::{Case, json_cases};
 use super::reference;
-use crate::files::{Case, assert_close, json_cases};
 
 /// The columns of all matrices `[out, in]`, one matrix behind the other: rows `[in, out]` of one layer.
 pub(super) fn columns<N: AsRef<str>>(case: &Case, names: &[N]) -> Vec<f32> {
@@ -38,8 +39,7 @@ fn coach_and_recognition_agree() {
         let taken = case.get("in/actions_onehot").data.chunks(actions);
         let taken = taken.map(|row| row.iter().position(|v| *v == 1.0).unwrap_or(0) as u8);
         windows.actions = taken.collect();
-        let order = case.get("in/task_perm").data.iter().map(|task| *task as usize);
-        let order = TaskOrder::of_columns(&order.collect::<Vec<_>>());
+        let order = reference::order(&case);
         let encode = case.get("w/coach.entity_encode.weight");
         let strategy = case.get("w/coach.mean.bias").data.len();
         let shape = CoachShape {
