@@ -16,7 +16,12 @@ pub struct State<'a>(Visit<'a>);
 #[derive(Debug)]
 enum Visit<'a> {
     Write(&'a mut Written),
-    Read { checkpoint: &'a Checkpoint, values: &'a BTreeMap<String, Vec<u8>> },
+    /// As `Write`, of what is needed to use what was learned.
+    WriteKept(&'a mut Written),
+    Read {
+        checkpoint: &'a Checkpoint,
+        values: &'a BTreeMap<String, Vec<u8>>,
+    },
     Weights(&'a Checkpoint),
 }
 
@@ -24,6 +29,11 @@ impl<'a> State<'a> {
     /// A visit that writes down what it finds.
     pub(crate) fn write(written: &'a mut Written) -> Self {
         Self(Visit::Write(written))
+    }
+
+    /// A visit that writes down what is needed to use what was learned, and no more: no replay, which is most of a run.
+    pub(crate) fn write_kept(written: &'a mut Written) -> Self {
+        Self(Visit::WriteKept(written))
     }
 
     /// A visit that puts everything back as a checkpoint has it.
@@ -52,7 +62,7 @@ impl<'a> State<'a> {
                 if tensor.name.is_empty() { String::new() } else { format!("/{}", tensor.name) };
             let (name, part) = (format!("{name}{end}"), &mut parameters[tensor.range.clone()]);
             match &mut self.0 {
-                Visit::Write(written) => {
+                Visit::Write(written) | Visit::WriteKept(written) => {
                     written.tensors.push((name, tensor.shape.clone(), in_bytes(part)));
                 }
                 Visit::Read { checkpoint, .. } | Visit::Weights(checkpoint) => {
@@ -94,7 +104,7 @@ impl<'a> State<'a> {
                 })?;
                 *value = postcard::from_bytes(bytes).map_err(|error| unfit(name, &error))?;
             }
-            Visit::Weights(_) => {}
+            Visit::Weights(_) | Visit::WriteKept(_) => {}
         }
         Ok(())
     }
@@ -120,8 +130,13 @@ impl<'a> State<'a> {
         name: &str,
         value: &mut T,
     ) -> Result<()> {
-        let Visit::Weights(checkpoint) = self.0 else { return self.value(name, value) };
-        State::read(checkpoint, &checkpoint.state()?).value(name, value)
+        match &mut self.0 {
+            Visit::Weights(checkpoint) => {
+                State::read(checkpoint, &checkpoint.state()?).value(name, value)
+            }
+            Visit::WriteKept(written) => State::write(written).value(name, value),
+            _ => self.value(name, value),
+        }
     }
 
     /// Whether this visit wants what was learned and nothing else.
@@ -131,7 +146,7 @@ impl<'a> State<'a> {
 
     /// Whether this visit changes what it visits.
     pub fn is_reading(&self) -> bool {
-        !matches!(self.0, Visit::Write(_))
+        !matches!(self.0, Visit::Write(_) | Visit::WriteKept(_))
     }
 }
 

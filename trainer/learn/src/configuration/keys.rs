@@ -2,7 +2,7 @@
 
 use sortie_nn::schedule::linear;
 
-use super::key::Range::{Number, Numbers, OneOf, Positive, Text, Whole};
+use super::key::Range::{Number, Numbers, OneOf, Positive, Text, Truth, Whole};
 use super::key::{Key, Range, Section};
 use crate::section;
 
@@ -133,6 +133,9 @@ section! {
     final_episodes: usize = 2_000, Whole(0, 1_000_000), "episodes";
     /// From one checkpoint to the next, besides those of evaluations.
     checkpoint_minutes: f64 = 5.0, Positive(1e6), "minutes";
+    /// Whether checkpoints hold the replay, which is most of them. Without it what was learned can be used, and the run
+    /// cannot be resumed.
+    checkpoint_replay: bool = true, Truth;
 }
 
 /// What `run.products` says where the processor decides.

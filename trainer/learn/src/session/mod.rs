@@ -20,7 +20,7 @@ pub use entry::{Flag, MethodEntry, Opening, Preset};
 
 pub use crate::run::{EnvironmentChoice, Setup};
 
-use crate::error::Result;
+use crate::error::{LearnError, Result};
 use crate::evaluate::{Evaluation, Score};
 use crate::method::{Method, Now};
 use crate::play::{self, Play};
@@ -84,6 +84,13 @@ impl Session {
         if !session.folder.checkpoints().exist()? {
             session.take_over()?;
             return Ok(session);
+        }
+        if !session.description.config.run.checkpoint_replay {
+            return Err(LearnError::Config(
+                "a run with `run.checkpoint_replay=false` keeps too little to go on: it can be evaluated and exported, and \
+                 another run can begin with what it learned (`run.from`)"
+                    .to_owned(),
+            ));
         }
         let found = session.folder.checkpoints().newest(OpenFor::Resume)?;
         let values = found.checkpoint.state()?;
@@ -288,7 +295,11 @@ impl Session {
         }
         self.counters.add_time(&mut saves.clock);
         let mut written = Written::default();
-        self.visit(&mut State::write(&mut written))?;
+        let mut state = match self.description.config.run.checkpoint_replay {
+            true => State::write(&mut written),
+            false => State::write_kept(&mut written),
+        };
+        self.visit(&mut state)?;
         observer.saved(&self.folder.checkpoints().write(env_steps, &written)?);
         (saves.env_steps, saves.last) = (Some(env_steps), Instant::now());
         Ok(())
