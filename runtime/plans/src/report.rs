@@ -10,7 +10,7 @@ use crate::error::CompileError;
 use crate::team_policy::TeamSizes;
 
 /// The compiler's version; a plan of another version is compiled again.
-pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-5");
+pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "-6");
 
 /// What the file alone does not say.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
