@@ -24,7 +24,7 @@
 //!     let x = shard.pass.linear(x, head);
 //!     let best = |q: &[f32]| u32::from(q[1] > q[0]);
 //!     let preferred: Vec<u32> = shard.pass.values(x).chunks(2).map(best).collect();
-//!     let mut values = shard.spare.begin(shard.target);
+//!     let mut values = shard.spare.begin_forward(shard.target);
 //!     let x = values.input(3, next);
 //!     let x = values.linear(x, head);
 //!     let worth = values.pick(x, &preferred);
@@ -249,7 +249,7 @@ impl<S: Default + Send> Learner<S> {
     pub fn look(&mut self, shards: usize, by: By, look: impl Fn(&mut Shard<'_, S>) + Sync) {
         self.in_shards(shards, |[online, target], number, lane| {
             let Lane { tape, spare, space, .. } = lane;
-            let pass = tape.begin(if by == By::Target { target } else { online });
+            let pass = tape.begin_forward(if by == By::Target { target } else { online });
             look(&mut Shard { number, pass, spare, online, target, space });
         });
     }

@@ -132,7 +132,7 @@ impl Acting {
         self.batch.finish(false);
         self.recall(shape.memory);
         let Self { batch, tape, memory, .. } = self;
-        let mut pass = tape.begin(weights);
+        let mut pass = tape.begin_forward(weights);
         let utilities = agents.utilities(&mut pass, batch, batch.seen(), memory);
         let rows = pass.values(utilities).chunks_exact(shape.actions);
         let mut agents = rows.zip(batch.available()).zip(&self.acting);

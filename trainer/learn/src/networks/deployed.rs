@@ -18,7 +18,7 @@ pub fn deployed<'a>(agents: &'a EntityAgent, weights: &'a [f32]) -> DeployedAgen
     let (mut tape, mut own) = (Tape::default(), OwnView::default());
     let utilities = move |seen: &Observation<'_>, hidden: &mut [f32]| {
         own.look(seen, [looking.input, 0], targets)?;
-        let mut pass = tape.begin(weights);
+        let mut pass = tape.begin_forward(weights);
         let utilities = agents.utilities(&mut pass, &own.batch, own.batch.seen(), hidden);
         Ok(pass.values(utilities).to_vec())
     };

@@ -158,7 +158,7 @@ impl Group {
     /// Encodes the subtasks, unless they are those that were encoded last.
     fn encode(&mut self, (network, weights): (&Network, &[f32])) {
         if self.tables.is_empty() {
-            let mut pass = self.tape.begin(weights);
+            let mut pass = self.tape.begin_forward(weights);
             let encoded = network.encode(&mut pass, &self.subtasks.rows);
             self.tables = pass.values(encoded).to_vec();
         }
@@ -234,7 +234,7 @@ impl Group {
     pub(super) fn values(&mut self, (critic, weights): (&Critic, &[f32])) -> Vec<f32> {
         self.encode((&critic.network, weights));
         let Self { subtasks, tables, tape, made, .. } = self;
-        let mut pass = tape.begin(weights);
+        let mut pass = tape.begin_forward(weights);
         let known = pass.input(tables.len() / subtasks.len(), tables);
         let values = critic.values(&mut pass, known, made);
         pass.values(values).to_vec()
@@ -244,7 +244,7 @@ impl Group {
     fn scores(&mut self, (network, weights): (&Network, &[f32])) -> Vec<f32> {
         self.encode((network, weights));
         let Self { subtasks, tables, tape, now, .. } = self;
-        let mut pass = tape.begin(weights);
+        let mut pass = tape.begin_forward(weights);
         let known = pass.input(tables.len() / subtasks.len(), tables);
         let scores = network.scores(&mut pass, known, now);
         pass.values(scores).to_vec()

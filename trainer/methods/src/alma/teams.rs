@@ -131,7 +131,7 @@ impl Players {
         let shape = network.shape;
         self.recall(scenes, slots, shape.base, unit.is_none());
         let Self { batch, tape, actors, remembered, operations, .. } = self;
-        let mut t = tape.begin(network.parameters);
+        let mut t = tape.begin_forward(network.parameters);
         let layers = UtilityLayers::of(shape);
         let mut looked = layers.look(&mut t, batch.input().view());
         if coach.is_some() {

@@ -262,7 +262,7 @@ impl Acting {
             return;
         }
         shown.finish(scenes.environment.spec());
-        let mut pass = tape.begin(weights);
+        let mut pass = tape.begin_forward(weights);
         let scores = actor.numbers(&mut pass, shown);
         let rows = pass.values(scores).chunks_exact(pass.size(scores)[1]);
         for ((scores, open), (place, instance)) in rows.zip(shown.available()).zip(due) {

@@ -131,7 +131,7 @@ impl OwnNetworks<'_> {
     ) -> Vec<f32> {
         self.row.clear();
         self.row.push_dense(shown);
-        let mut pass = self.tape.begin(weights);
+        let mut pass = self.tape.begin_forward(weights);
         let hidden = network.hidden(&mut pass, &self.row);
         let values = network.values(&mut pass, hidden, &[network.place(0, goal)]);
         pass.values(values).to_vec()

@@ -141,14 +141,14 @@ impl Lessons<'_> {
         let mut worth = Vec::new();
         // Convolutions are over one picture at least.
         if !places.is_empty() {
-            let mut pass = spare.begin(online);
+            let mut pass = spare.begin_forward(online);
             let hidden = network.hidden(&mut pass, rows);
             let values = network.values(&mut pass, hidden, places);
             let masks = followed.flat_map(|(lesson, next)| lesson.goals().map(move |_| next.mask));
             let values = pass.values(values).chunks_exact(network.heads.actions);
             actions.clear();
             actions.extend(values.zip(masks).map(|(values, mask)| best(values, mask) as u32));
-            let mut pass = spare.begin(target);
+            let mut pass = spare.begin_forward(target);
             let hidden = network.hidden(&mut pass, rows);
             let values = network.values(&mut pass, hidden, places);
             let chosen = pass.pick(values, actions);

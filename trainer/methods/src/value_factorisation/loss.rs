@@ -150,12 +150,12 @@ impl Networks {
         if is_whole {
             prefer(pass.values(utilities));
         } else {
-            let mut values = spare.begin(online);
+            let mut values = spare.begin_forward(online);
             self.forget(memory, after.slots(view));
             let utilities = self.agents.utilities(&mut values, after, view, memory);
             prefer(values.values(utilities));
         }
-        let mut values = spare.begin(target);
+        let mut values = spare.begin_forward(target);
         self.forget(memory, after.slots(view));
         let utilities = self.agents.utilities(&mut values, after, view, memory);
         let chosen = values.pick(utilities, preferred);

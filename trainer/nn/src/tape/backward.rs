@@ -17,6 +17,7 @@ impl Pass<'_> {
     /// To be called once a pass.
     pub fn backward(&mut self, loss: Var, gradient: &mut [f32]) {
         assert_eq!(self.size(loss), [1, 1], "a loss is one number");
+        assert!(self.tape.goes_back, "a pass that only looks has no way back");
         let Some((range, _)) = self.tape.slopes_of(loss) else { return };
         self.tape.slopes[range].fill(1.0);
         for index in (0..=loss.0).rev() {
@@ -51,7 +52,7 @@ impl Tape {
                     self.descend_linear(x, layer, own.clone(), parameters, gradient);
                 }
             }
-            Operation::SparseLinear { rows, layer, rectified } => {
+            Operation::SparseLinear { rows, layer, rectified, .. } => {
                 if rectified {
                     self.descend_rectified(own.clone());
                 }
@@ -66,7 +67,7 @@ impl Tape {
             }),
             Operation::Softmax { x } => self.through_rows(x, own, softmax::backward),
             Operation::LogSoftmax { x } => self.through_rows(x, own, softmax::log_backward),
-            Operation::Attend { inputs, lists, kept, shape, to } => {
+            Operation::Attend { inputs, lists, kept, shape, to, .. } => {
                 self.descend_attention(inputs, [lists, kept], shape, to, own);
             }
             Operation::Recur { x, pass, carry, slots, layer } => {
@@ -194,7 +195,7 @@ impl Tape {
                     normalise::rows_backward(columns, known, store, d_x);
                 });
             }
-            Operation::Absorb { inputs, keys_values, lists, pass, heads } => {
+            Operation::Absorb { inputs, keys_values, lists, pass, heads, .. } => {
                 let weight = keys_values.weight_range();
                 let matrix = (&parameters[weight.clone()], &mut gradient[weight]);
                 self.descend_absorbed(inputs, matrix, [lists, pass, heads], own);

@@ -73,9 +73,12 @@ impl Pass<'_> {
 
     fn sparse(&mut self, features: &SparseRows, layer: Linear, rectified: bool) -> Var {
         let (rows, kept) = self.tape.sparse.next();
-        kept.clear();
-        kept.append(features);
-        let operation = Operation::SparseLinear { rows, layer, rectified };
+        if self.tape.goes_back {
+            kept.clear();
+            kept.append(features);
+        }
+        let entries = features.entries();
+        let operation = Operation::SparseLinear { rows, entries, layer, rectified };
         let y = self.tape.push(operation, features.len(), layer.shape.output, true);
         let weight = &self.parameters[layer.weight_range()];
         let bias = layer.bias_range().expect("sparse layers have offsets");
@@ -155,15 +158,16 @@ impl Pass<'_> {
         let [count, width] = self.size(inputs[0]);
         assert_eq!((count, 2 * width), (visible.queries(), self.size(inputs[1])[1]), "sizes");
         let shape = AttentionShape { width, heads };
-        let (lists, pairs) = (self.tape.keep_lists(visible), visible.pairs() * heads);
+        let (lists, pairs) = (self.tape.keep_lists(visible), visible.pairs());
         let (size, shares) = match to {
             Attended::Whole => ([count, width], 0),
             Attended::Parts => ([BLOCKS * count, width], count * heads),
             Attended::Scores => ([count, 1], 0),
         };
-        let operation = |kept| Operation::Attend { inputs, lists, kept, shape, to };
-        self.keep(pairs + shares, operation, inputs, size, |inputs, kept, output| {
-            let ([queries, keys_values], (of_pairs, shares)) = (inputs, kept.split_at_mut(pairs));
+        let operation = |kept| Operation::Attend { inputs, lists, pairs, kept, shape, to };
+        let weights = pairs * heads;
+        self.keep(weights + shares, operation, inputs, size, |inputs, kept, output| {
+            let ([queries, keys_values], (of_pairs, shares)) = (inputs, kept.split_at_mut(weights));
             let pass = Forward { queries, keys_values, of_pairs, shares, output };
             match to {
                 Attended::Scores => attention::squared_scores(shape, visible, pass),
@@ -178,14 +182,13 @@ impl Pass<'_> {
     /// `[pairs, heads]`: the weights of what each query sees, list behind list, of a matrix that is
     /// [`attention`](Self::attention)'s or [`absorbed_attention`](Self::absorbed_attention)'s.
     pub fn attention_weights(&self, attended: Var) -> Option<&[f32]> {
-        let pairs = |lists: usize| self.tape.lists.things[lists].pairs();
         match self.tape.of(attended).operation {
-            Operation::Attend { lists, kept, shape, .. } => {
-                Some(&self.tape.values[kept..][..pairs(lists) * shape.heads])
+            Operation::Attend { pairs, kept, shape, .. } => {
+                Some(&self.tape.values[kept..][..pairs * shape.heads])
             }
-            Operation::Absorb { lists, pass, heads, .. } => {
+            Operation::Absorb { pairs, pass, heads, .. } => {
                 let weights = self.tape.absorbed.things[pass].weights();
-                Some(&weights[..pairs(lists) * heads])
+                Some(&weights[..pairs * heads])
             }
             _ => None,
         }

@@ -106,7 +106,8 @@ impl Pass<'_> {
         assert_eq!((count, width), (visible.queries(), self.size(entities)[1]), "sizes");
         let (lists, inputs) = (self.tape.keep_lists(visible), [queries, entities]);
         let (pass, _) = self.tape.absorbed.next();
-        let operation = Operation::Absorb { inputs, keys_values, lists, pass, heads };
+        let pairs = visible.pairs();
+        let operation = Operation::Absorb { inputs, keys_values, lists, pairs, pass, heads };
         let y = self.tape.push(operation, count, width, true);
         let ranges = inputs.map(|var| self.tape.of(var).range());
         let out = self.tape.of(y).range();
@@ -170,15 +171,10 @@ impl Tape {
             Operation::LinearSum { layers, .. } => {
                 rows * columns * layers.iter().map(|layer| layer.shape.input).sum::<usize>()
             }
-            Operation::SparseLinear { rows, .. } => {
-                return (self.sparse.things[rows].entries() * columns, 1);
-            }
+            Operation::SparseLinear { entries, .. } => return (entries * columns, 1),
             Operation::Product { a, .. } => rows * columns * self.of(a).columns,
-            Operation::Attend { lists, to: Attended::Whole, .. } => {
-                2 * self.lists.things[lists].pairs() * columns
-            }
-            Operation::Absorb { lists, heads, .. } => {
-                let pairs = self.lists.things[lists].pairs();
+            Operation::Attend { pairs, to: Attended::Whole, .. } => 2 * pairs * columns,
+            Operation::Absorb { pairs, heads, .. } => {
                 2 * (rows * columns + pairs * heads) * columns
             }
             Operation::AttendInTeams { lists, heads, sums, .. } => {

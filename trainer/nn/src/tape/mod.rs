@@ -68,6 +68,8 @@ pub struct Tape {
     absorbed: Pool<AbsorbedAttention>,
     carry: Vec<bool>,
     scratch: Vec<f32>,
+    /// Whether the pass may go back, for which it keeps what it was given.
+    goes_back: bool,
 }
 
 impl Clone for Tape {
@@ -124,6 +126,16 @@ impl Node {
 impl Tape {
     /// Begins a pass of a network with these parameters; the pass before is forgotten.
     pub fn begin<'a>(&'a mut self, parameters: &'a [f32]) -> Pass<'a> {
+        self.start(parameters, true)
+    }
+
+    /// Begins a pass that only looks, for which nothing of what it is given is copied.
+    pub fn begin_forward<'a>(&'a mut self, parameters: &'a [f32]) -> Pass<'a> {
+        self.start(parameters, false)
+    }
+
+    fn start<'a>(&'a mut self, parameters: &'a [f32], goes_back: bool) -> Pass<'a> {
+        self.goes_back = goes_back;
         self.nodes.clear();
         self.indices.clear();
         self.carry.clear();
@@ -211,7 +223,9 @@ impl Tape {
     /// A copy of these lists for the way back; its place in the pool.
     fn keep_lists(&mut self, lists: &VisibleLists) -> usize {
         let (place, kept) = self.lists.next();
-        kept.copy_from(lists);
+        if self.goes_back {
+            kept.copy_from(lists);
+        }
         place
     }
 
@@ -273,7 +287,7 @@ enum Operation {
     /// Two products and the offsets of the first layer, rectified.
     LinearSum { x: [Var; 2], layers: [Linear; 2] },
     /// A first layer; `rows` is the place of the features in their pool.
-    SparseLinear { rows: usize, layer: Linear, rectified: bool },
+    SparseLinear { rows: usize, entries: usize, layer: Linear, rectified: bool },
     /// A function of every number.
     Activate { x: Var, activation: Activation },
     /// Of every row.
@@ -282,7 +296,14 @@ enum Operation {
     LogSoftmax { x: Var },
     /// Of queries, and of keys and values. `kept` is where what is known of pairs begins in the arena, behind which the shares
     /// of parts stand if there are any.
-    Attend { inputs: [Var; 2], lists: usize, kept: usize, shape: AttentionShape, to: Attended },
+    Attend {
+        inputs: [Var; 2],
+        lists: usize,
+        pairs: usize,
+        kept: usize,
+        shape: AttentionShape,
+        to: Attended,
+    },
     /// A recurrent unit through time; `carry` is where it begins in the tape's.
     Recur { x: Var, pass: usize, carry: usize, slots: usize, layer: Gru },
     /// The patches of pictures.
@@ -324,7 +345,14 @@ enum Operation {
     /// Rows whose squares have the mean 1.
     NormaliseRows { x: Var },
     /// Of queries and entities, with the matrix of keys and values.
-    Absorb { inputs: [Var; 2], keys_values: Linear, lists: usize, pass: usize, heads: usize },
+    Absorb {
+        inputs: [Var; 2],
+        keys_values: Linear,
+        lists: usize,
+        pairs: usize,
+        pass: usize,
+        heads: usize,
+    },
     /// Of queries, keys and rows. `weights` is where the attention weights begin in the arena.
     AttendInTeams { inputs: [Var; 3], lists: usize, weights: usize, heads: usize, sums: Sums },
 }

@@ -421,3 +421,41 @@ fn tensors_have_names_shapes_and_places() {
     );
     assert_eq!(p.values.len(), 8 + 24 + 12);
 }
+
+/// A pass that only looks finds the same numbers, on a tape where another one went back before, and has no way back.
+#[test]
+fn a_pass_that_only_looks_finds_the_same() {
+    let mut parameters = Parameters::default();
+    let mut random = stream(3, 0, 0);
+    let embed = parameters.sparse_linear("embed", [5, 8], 2.0, &mut random);
+    let rows = |shift: usize| {
+        let mut rows = SparseRows::default();
+        for row in 0..4 {
+            rows.push((row + shift) % 5, 1.5);
+            rows.end_row();
+        }
+        rows
+    };
+    let mut seen = VisibleLists::default();
+    for query in 0..2 {
+        (query..4).for_each(|row| seen.push(row));
+        seen.end_list();
+    }
+    let look = |pass: &mut Pass<'_>, rows: &SparseRows| {
+        let embedded = pass.sparse_linear_rectified(rows, embed);
+        let (own, both) = (pass.rows(embedded, 0..2), pass.concat(&[embedded, embedded]));
+        let attended = pass.attention(own, both, &seen, 2);
+        let weights = pass.attention_weights(attended).unwrap().to_vec();
+        (attended, (pass.values(attended).to_vec(), weights, pass.operations(false)))
+    };
+    let mut tape = Tape::default();
+    let wanted = look(&mut tape.begin(&parameters.values), &rows(1)).1;
+    // Its rows and lists stay in the tape's memory.
+    look(&mut tape.begin(&parameters.values), &rows(2));
+    let mut pass = tape.begin_forward(&parameters.values);
+    let (attended, found) = look(&mut pass, &rows(1));
+    assert_eq!(found, wanted);
+    let loss = pass.weighted_sum(attended, &[1.0; 16]);
+    let back = std::panic::AssertUnwindSafe(|| pass.backward(loss, &mut [0.0; 100]));
+    assert!(std::panic::catch_unwind(back).is_err());
+}

@@ -132,13 +132,13 @@ impl Networks {
         if available.is_empty() {
             return;
         }
-        let mut pass = spare.begin(online);
+        let mut pass = spare.begin_forward(online);
         let utilities = self.agents.utilities(&mut pass, next.batch.input());
         let agents = pass.values(utilities).chunks_exact(self.shape.actions).zip(available);
         next.actions.clear();
         next.actions.extend(agents.map(|(utilities, open)| best(utilities, *open) as u32));
         *operations += pass.operations(false);
-        let mut pass = spare.begin(target);
+        let mut pass = spare.begin_forward(target);
         let utilities = self.agents.utilities(&mut pass, next.batch.input());
         let values = self.values(&mut pass, utilities, next);
         let goes_on = targets.iter_mut().zip(discounts).filter(|(_, discount)| **discount > 0.0);

@@ -184,7 +184,7 @@ impl TeamValues {
         let asked_for = followed
             .iter()
             .flat_map(|(number, tasks)| members((*tasks).into()).map(move |_| *number));
-        let mut pass = shard.spare.begin(shard.target);
+        let mut pass = shard.spare.begin_forward(shard.target);
         let values = self.layers.utilities(&mut pass, input.queries(environment, queries));
         for (number, value) in asked_for.zip(pass.values(values)) {
             targets[number] += segments.note(drawn[number].place) * value;

@@ -44,7 +44,7 @@ impl Values {
         write: impl FnOnce(&mut TeamValueInput) -> &UtilityInput,
     ) -> &[f32] {
         let layers = UtilityLayers::of(network.shape);
-        let mut pass = self.tape.begin(network.parameters);
+        let mut pass = self.tape.begin_forward(network.parameters);
         let values = layers.utilities(&mut pass, write(&mut self.input));
         self.values.clear();
         self.values.extend_from_slice(pass.values(values));

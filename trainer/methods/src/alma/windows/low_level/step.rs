@@ -201,7 +201,7 @@ impl<'a> Step<'a> {
             self.layers.coaching.map(|it| it.tell(t, (windows, window), drawn, agents).strategies)
         };
 
-        let mut t = tape.begin(&self.online.parameters);
+        let mut t = tape.begin_forward(&self.online.parameters);
         let strategies = told(&mut t, &self.online, teams);
         let look = self.look(View::NEXT, &self.online.order);
         let utilities = self.layers.agents.utilities(&mut t, look, teams, strategies);
@@ -213,7 +213,7 @@ impl<'a> Step<'a> {
         let best: Vec<u32> = best.collect();
         lane.operations += t.operations(false);
 
-        let mut t = tape.begin(&self.target.parameters);
+        let mut t = tape.begin_forward(&self.target.parameters);
         let strategies = told(&mut t, &self.target, teams);
         let look = self.look(View::NEXT_AS_BEFORE, &self.target.order);
         let values = self.mixed(&mut t, (look, strategies), (teams, input), &best);
