@@ -8,7 +8,7 @@ use crate::act::{Act, Ask};
 use crate::error::{LearnError, Result};
 use crate::export::{DeployedAgents, Words};
 use crate::run::checkpoint::OpenFor;
-use crate::run::{Rates, Reports, RunFolder};
+use crate::run::{Now, Rates, Reports, RunFolder};
 use crate::state::State;
 use crate::subtasks::Subtasks;
 
@@ -31,15 +31,6 @@ pub struct Transition<'a> {
     pub agent_rewards: &'a [f64],
     /// The state that followed, before an instance whose episode is over starts anew.
     pub next: &'a [u8],
-}
-
-/// How far a run is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Now {
-    /// Environment steps taken.
-    pub env_steps: u64,
-    /// Environment steps of the whole run.
-    pub of: u64,
 }
 
 /// A method at work in a run.

@@ -13,14 +13,13 @@ use sortie_envs::{Environment, Random, Spec, Split, Step};
 use crate::act::{Ask, Scene, Scenes};
 use crate::error::{LearnError, Result};
 use crate::evaluate::metric_means;
-use crate::method::{Method, Now, Transition};
-use crate::run::EpisodeCounts;
+use crate::method::{Method, Transition};
+use crate::run::{EpisodeCounts, Now};
 use crate::state::State;
 
 pub use episodes::{Onlooker, Start, WORLDS, Watched, evaluate, evaluate_watched, watch};
 pub use planner::{Planner, PlannerReport};
 pub use teams::{PolicyTeam, RandomTeam};
-pub(crate) use teams::{Shown, codes, mask, write_actions};
 
 /// Instances that are played to learn from.
 pub struct Play {

@@ -1,75 +1,12 @@
 //! Teams that do not learn: a deployed policy, and play without a thought, which everything that is learned has to beat.
 
+use sortie_core::DecideError;
 use sortie_core::policy::{NO_ACTION, Observation as Seen, Policy};
-use sortie_core::{DecideError, Decision, EntityMask};
 use sortie_envs::random::{generator, member};
-use sortie_envs::{ActionSet, EntitySet, Environment, Observation, Random, Shape, members};
+use sortie_envs::{EntitySet, Environment, Observation, Random};
 
-use crate::act::{Act, Ask, Scene};
-use crate::error::{LearnError, Result};
-
-/// What all agents of a team are shown of a state, as in frames: a row for every entity, and what each may do.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Shown {
-    features: usize,
-    actions: usize,
-    rows: Vec<f32>,
-    /// `[A, U]`
-    available: Vec<u16>,
-}
-
-impl Shown {
-    /// Lays out what was observed of all entities.
-    pub(crate) fn look(&mut self, seen: &Observation, shape: Shape) {
-        (self.features, self.actions) = (shape.features, shape.actions);
-        self.rows.clear();
-        self.rows.resize(shape.entities * shape.features, 0.0);
-        for entity in members(seen.present) {
-            let row = &mut self.rows[entity * shape.features..][..shape.features];
-            seen.rows.write_dense(seen.row_of(entity), row);
-        }
-        self.available.clear();
-        self.available.extend(seen.available.iter().flat_map(|set| codes(*set, shape.actions)));
-    }
-
-    /// What one of the agents sees of it.
-    pub(crate) fn to<'a>(
-        &'a self,
-        agent: usize,
-        visible: EntityMask,
-        last_actions: &'a [u16],
-    ) -> Seen<'a> {
-        Seen {
-            rows: &self.rows,
-            stride: self.features,
-            last_actions,
-            visible,
-            self_index: agent,
-            available: &self.available[agent * self.actions..][..self.actions],
-        }
-    }
-}
-
-/// A set of actions as policies are told of it: 1 for each of so many that it holds, else 0.
-pub(crate) fn codes(set: ActionSet, actions: usize) -> impl Iterator<Item = u16> {
-    (0..actions).map(move |action| (set >> action & 1) as u16)
-}
-
-/// A set of entities as policies are told of it.
-pub(crate) fn mask(entities: EntitySet) -> EntityMask {
-    EntityMask::from_words(&[entities as u64, (entities >> 64) as u64])
-}
-
-/// Writes the actions that were decided on.
-pub(crate) fn write_actions(
-    actions: &mut [u16],
-    decisions: Vec<Result<Decision, DecideError>>,
-) -> Result<()> {
-    for (action, decision) in actions.iter_mut().zip(decisions) {
-        *action = decision.map_err(|error| LearnError::Team(error.to_string()))?.action;
-    }
-    Ok(())
-}
+use crate::act::{Act, Ask, Scene, Shown, mask, write_actions};
+use crate::error::Result;
 
 /// A deployed policy, agent by agent, on what each of them would see.
 #[derive(Debug)]

@@ -23,6 +23,7 @@ use crate::error::{LearnError, Result};
 use comparison::TeamSummary;
 pub use comparison::{Comparison, GroupSummary, Reached, Until};
 pub use group::{Axis, Group, Spread};
+pub(crate) use record::{CURVE, DESCRIPTION, RESULT};
 pub use record::{FinalResult, Point, RunRecord};
 pub use row::{Row, to_csv};
 pub(crate) use tensorboard::RunEvents;

@@ -10,7 +10,13 @@ use sortie_bundle::files::{MOST_BYTES, read_text};
 use super::Row;
 use crate::error::{LearnError, Result};
 use crate::evaluate::{Score, TeamSuccess};
-use crate::run::{CURVE, DESCRIPTION, RESULT};
+
+/// What was run.
+pub(crate) const DESCRIPTION: &str = "train.toml";
+/// Its evaluations.
+pub(crate) const CURVE: &str = "curve.json";
+/// Its measure at the end.
+pub(crate) const RESULT: &str = "result.json";
 
 /// A run as it is compared; its networks stay on the disk.
 #[derive(Clone, Debug)]

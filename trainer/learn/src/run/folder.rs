@@ -9,12 +9,9 @@ use sortie_bundle::files::{self, Durability, MOST_BYTES, read_text, replace_file
 use super::{Checkpoints, CurvePoint, RunDescription, RunResult, curve};
 use crate::error::{LearnError, Result};
 use crate::evaluate::Score;
-use crate::report::{RunEvents, to_csv};
+use crate::report::{CURVE, DESCRIPTION, RESULT, RunEvents, to_csv};
 
 const LOCK: &str = "lock";
-pub(crate) const DESCRIPTION: &str = "train.toml";
-pub(crate) const CURVE: &str = "curve.json";
-pub(crate) const RESULT: &str = "result.json";
 
 /// The files of a run.
 #[derive(Debug)]

@@ -24,6 +24,7 @@ use sortie_bundle::files::{MOST_BYTES, MOST_TEXT_BYTES, read_text};
 use sortie_nn::layers::products::Products;
 
 use crate::error::{LearnError, Result};
+use crate::report::{CURVE, DESCRIPTION};
 
 pub use crate::configuration::RunConfig;
 pub use checkpoint::{Checkpoint, Checkpoints};
@@ -31,9 +32,8 @@ pub(crate) use counters::{Clock, Counters};
 pub use counters::{EpisodeCounts, Level, Rates, Reports, UpdateReport};
 pub use curve::{CurvePoint, RunResult};
 pub use folder::RunFolder;
-pub(crate) use folder::{CURVE, DESCRIPTION, RESULT};
 pub(crate) use progress::Meter;
-pub use progress::{Observer, Outcome, TrainingPoint};
+pub use progress::{Now, Observer, Outcome, TrainingPoint};
 pub use setup::{Difference, EnvironmentChoice, RunDescription, Setup, keys_in};
 pub(crate) use setup::{rename_older, renamed};
 

@@ -7,7 +7,15 @@ use serde::Serialize;
 
 use super::counters::{EpisodeCounts, Window};
 use super::{Counters, CurvePoint, Rates, RunResult};
-use crate::method::Now;
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Now {
+    /// Environment steps taken.
+    pub env_steps: u64,
+    /// Environment steps of the whole run.
+    pub of: u64,
+}
 
 /// Is told how a run goes.
 pub trait Observer {

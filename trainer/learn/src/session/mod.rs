@@ -22,12 +22,12 @@ pub use crate::run::{EnvironmentChoice, Setup};
 
 use crate::error::{LearnError, Result};
 use crate::evaluate::{Evaluation, Score};
-use crate::method::{Method, Now};
+use crate::method::Method;
 use crate::play::{self, Play};
 use crate::random::{Purpose, generator};
 use crate::run::checkpoint::{OpenFor, Written};
 use crate::run::{
-    Clock, Counters, CurvePoint, Meter, Observer, Outcome, Rates, RunConfig, RunDescription,
+    Clock, Counters, CurvePoint, Meter, Now, Observer, Outcome, Rates, RunConfig, RunDescription,
     RunFolder, RunResult,
 };
 use crate::state::State;

@@ -6,8 +6,8 @@ use sortie_envs::{Random, UNASSIGNED};
 
 use super::allocators::tell_allocation;
 use super::{Agents, AllocatedScene, NO_ACTION};
+use crate::act::{Shown, mask, write_actions};
 use crate::error::{LearnError, Result};
-use crate::play::{Shown, mask, write_actions};
 use crate::random::{Purpose, generator};
 
 /// What the agents of a scene are shown under the subtask mask: a row for every entity, as in frames, of which each sees those

@@ -5,8 +5,8 @@ use sortie_core::{Allocator, EntityMask};
 use sortie_envs::{EntitySet, Environment, Observation, Shape, Spec, UNASSIGNED, members};
 
 use super::{Allocate, ToAllocate};
+use crate::act::codes;
 use crate::error::{LearnError, Result};
-use crate::play::codes;
 
 /// One of the [rules](sortie_envs::Spec::rules) of an environment, by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
