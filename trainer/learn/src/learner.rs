@@ -249,7 +249,7 @@ impl<S: Default + Send> Learner<S> {
     pub fn look(&mut self, shards: usize, by: By, look: impl Fn(&mut Shard<'_, S>) + Sync) {
         self.in_shards(shards, |[online, target], number, lane| {
             let Lane { tape, spare, space, .. } = lane;
-            let pass = tape.begin_forward(if by == By::Target { target } else { online });
+            let pass = tape.begin(if by == By::Target { target } else { online });
             look(&mut Shard { number, pass, spare, online, target, space });
         });
     }
