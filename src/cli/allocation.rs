@@ -46,7 +46,7 @@ impl ValueEnum for Allocation {
     }
 
     fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(self.name()).help(&*self.0.about))
+        Some(PossibleValue::new(self.name()).help(self.0.about))
     }
 }
 

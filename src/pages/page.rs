@@ -56,7 +56,7 @@ pub fn page(heading: &Heading, captured: &Captured) -> String {
         ("/* STYLE */", STYLE),
         ("\"DATA\"", &json(&data)),
         ("<!-- KIND -->", ""),
-        ("/* SCRIPT */", &[&[EPISODE], &DRAWING[..]].concat().concat()),
+        ("/* SCRIPT */", &code(&[&[EPISODE], &DRAWING[..]].concat())),
     ])
 }
 
@@ -67,8 +67,18 @@ pub fn live_page(data: &impl Serialize) -> String {
         ("/* STYLE */", &[STYLE, DEEDS_STYLE].concat()),
         ("\"DATA\"", &json(data)),
         ("<!-- KIND -->", " type=\"module\""),
-        ("/* SCRIPT */", &[&[PROGRAM], &DRAWING[..], &[DEEDS]].concat().concat()),
+        ("/* SCRIPT */", &code(&[&[PROGRAM], &DRAWING[..], &[DEEDS]].concat())),
     ])
+}
+
+/// Scripts without the lines that are remarks alone: those are for whoever reads the sources, a tenth of every page's own code.
+fn code(scripts: &[&str]) -> String {
+    let is_remark = |line: &&str| {
+        let line = line.trim_start();
+        line.starts_with("//") || line.starts_with("/**") && line.ends_with("*/")
+    };
+    let lines = scripts.iter().flat_map(|script| script.lines());
+    lines.filter(|line| !is_remark(line)).flat_map(|line| [line, "\n"]).collect()
 }
 
 /// The skeleton with these parts in their places.
@@ -89,4 +99,20 @@ fn filled(parts: &[(&str, &str)]) -> String {
 fn json(data: &impl Serialize) -> String {
     let data = serde_json::to_string(data).expect("pages have string keys only");
     data.replace('<', "\\u003c")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scripts_lose_their_remarks_and_nothing_else() {
+        let script =
+            "// Why.\n/** What. */\nconst a = 1; // here\n  // Because.\n  call(`/${a}`);\n";
+        assert_eq!(code(&[script, "b();\n"]), "const a = 1; // here\n  call(`/${a}`);\nb();\n");
+        // A remark that goes on in the next line would leave its end.
+        let all = [&DRAWING[..], &[EPISODE, PROGRAM, DEEDS]].concat();
+        let opens = |line: &&str| line.trim_start().starts_with("/*") && !line.ends_with("*/");
+        assert_eq!(all.iter().flat_map(|script| script.lines()).filter(opens).count(), 0);
+    }
 }

@@ -9,9 +9,7 @@ use serde::Serialize;
 use sortie_core::wire::FrameMut;
 use sortie_core::world::{Shape, StepOutcome, UnavailableAction, World};
 use sortie_envs::random::episode;
-use sortie_envs::{
-    Choice, ENVIRONMENTS, Entry, Environment, EnvironmentError, Name, Split, StateError,
-};
+use sortie_envs::{Choice, ENVIRONMENTS, Entry, Environment, EnvironmentError, Split, StateError};
 
 use crate::cast::Cast;
 use crate::error::StageError;
@@ -44,7 +42,7 @@ pub struct Opening {
     #[serde(flatten)]
     pub facts: Facts,
     /// Who may allocate, by name; nobody where agents are not assigned.
-    pub allocators: Vec<Name>,
+    pub allocators: Vec<String>,
     /// The first state.
     #[serde(flatten)]
     pub news: News,
@@ -130,11 +128,14 @@ impl<'a> Player<'a> {
     pub fn open(&mut self) -> Result<Opening, StageError> {
         self.stage.attend();
         let news = self.look_again()?;
-        let rules = self.stage.world.with(|seen| seen.worlds.spec().rules.clone());
-        let allocators =
-            ["learned".into()].into_iter().chain(rules.iter().map(|rule| rule.name.clone()));
-        let assigns = !self.stage.allocation().is_empty();
-        let allocators = if assigns { allocators.collect() } else { Vec::new() };
+        let mut allocators = Vec::new();
+        if !self.stage.allocation().is_empty() {
+            allocators.push("learned".into());
+            self.stage.world.with(|seen| {
+                let rules = seen.worlds.spec().rules.iter();
+                allocators.extend(rules.map(|rule| rule.name.to_string()));
+            });
+        }
         Ok(Opening { facts: self.facts.clone(), allocators, news })
     }
 

@@ -7,7 +7,7 @@ use alloc::vec::Vec;
 
 use serde::Serialize;
 use sortie_envs::picture::{Cell, Disc, Field, Link};
-use sortie_envs::{EntitySet, Environment, Episode, Metric, Name, Observation, Spec, UNASSIGNED};
+use sortie_envs::{EntitySet, Environment, Episode, Metric, Observation, Spec, UNASSIGNED};
 
 use crate::team_values::{TeamValues, candidates};
 use crate::thoughts::{Thought, rounded};
@@ -33,7 +33,7 @@ pub struct Facts {
     /// Names of what can be reached on the way to the task.
     pub milestones: Vec<String>,
     /// Names of what is counted.
-    pub metrics: Vec<Name>,
+    pub metrics: Vec<String>,
     /// What can be done to things, in words; nothing where nothing can.
     pub disturbance: &'static str,
     /// Steps after which an episode times out.
@@ -136,7 +136,7 @@ impl Facts {
             field: picture.field,
             agents: picture.agents.iter().enumerate().map(agent).collect(),
             milestones: spec.milestones.iter().map(|name| spaced(name)).collect(),
-            metrics: metrics.map(|metric| metric.name.clone()).collect(),
+            metrics: metrics.map(|metric| metric.name.to_string()).collect(),
             disturbance: spec.disturbance,
             limit: spec.episode_limit,
         }

@@ -418,7 +418,7 @@ fn print_tables(evaluation: &Evaluation, spec: &Spec, by_seed: Option<&BySeed>) 
     }
     for metric in &spec.metrics {
         if let Some(value) = evaluation.metrics.get(&*metric.name) {
-            row(&metric.about, format!("{value:.3}"));
+            row(metric.about, format!("{value:.3}"));
         }
     }
     if spec.has_success {

@@ -54,9 +54,9 @@ pub struct Metric {
     /// Its name in files and tables.
     pub name: Name,
     /// Its unit.
-    pub unit: Name,
+    pub unit: &'static str,
     /// What it says, in a few words.
-    pub about: Name,
+    pub about: &'static str,
     /// Whether evaluations tell its mean; recordings of episodes have all.
     pub is_reported: bool,
 }
@@ -64,14 +64,12 @@ pub struct Metric {
 impl Metric {
     /// A metric that evaluations tell.
     pub const fn reported(name: &'static str, unit: &'static str, about: &'static str) -> Self {
-        let [name, unit, about] = [Cow::Borrowed(name), Cow::Borrowed(unit), Cow::Borrowed(about)];
-        Self { name, unit, about, is_reported: true }
+        Self { name: Cow::Borrowed(name), unit, about, is_reported: true }
     }
 
     /// A metric that only recordings of episodes have.
     pub const fn recorded(name: &'static str, unit: &'static str, about: &'static str) -> Self {
-        let [name, unit, about] = [Cow::Borrowed(name), Cow::Borrowed(unit), Cow::Borrowed(about)];
-        Self { name, unit, about, is_reported: false }
+        Self { name: Cow::Borrowed(name), unit, about, is_reported: false }
     }
 }
 
@@ -81,13 +79,13 @@ pub struct Rule {
     /// Its name, as `--allocation` takes it.
     pub name: Name,
     /// What it does, in one sentence.
-    pub about: Name,
+    pub about: &'static str,
 }
 
 impl Rule {
     /// A rule by its name.
     pub const fn new(name: &'static str, about: &'static str) -> Self {
-        Self { name: Cow::Borrowed(name), about: Cow::Borrowed(about) }
+        Self { name: Cow::Borrowed(name), about }
     }
 }
 

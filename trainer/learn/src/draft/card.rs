@@ -83,7 +83,7 @@ type Column<'a> = (&'a str, Box<dyn Fn(&Measured) -> String + 'a>);
 
 fn of_metric(metric: &Metric) -> Column<'_> {
     let value = |it: &Measured| it.evaluation.metrics.get(&*metric.name).copied();
-    (&metric.about, Box::new(move |it| format!("{:.3}", value(it).unwrap_or(f64::NAN))))
+    (metric.about, Box::new(move |it| format!("{:.3}", value(it).unwrap_or(f64::NAN))))
 }
 
 /// The card's table of measured episodes, a row for each set and allocation; who allocated, and the environment's own
