@@ -22,6 +22,7 @@ use crate::lower::agent::{behind_heads, padded_heads, side_by_side};
 use crate::matching::{AgentLayers, Layer, Matrix, Step};
 
 pub(crate) use whole::Rounded;
+use whole::{Form, fitted};
 
 /// Most observations that are looked at, evenly spread over a recording.
 const MOST: usize = 2000;
@@ -45,9 +46,9 @@ pub(crate) fn round(products: &Products, examples: &Recording) -> Vec<Rounded> {
             let layer = &exact.layers[index];
             // No bias makes up for the mean error of absorbed keys; that of the output makes up for the values' one.
             let around_mean = !exact.keys().contains(&index);
-            let second = given.second(around_mean);
-            let fitted = whole::fitted(layer, &second, &given.drift(around_mean));
-            let mut whole = Rounded::for_moments(&fitted, &second);
+            let second = Form::of(&given.second(around_mean));
+            let wanted = fitted(layer, &second, &given.drift(around_mean));
+            let mut whole = Rounded::for_moments(&wanted, &second);
             if exact.has_bias(index) {
                 make_up(&mut whole, layer, &given.mean(&given.wanted), &given.mean(&given.sums));
             }

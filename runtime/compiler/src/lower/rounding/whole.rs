@@ -44,9 +44,8 @@ impl Rounded {
     }
 
     /// Weights and steps that err least on inputs of these second moments, as far as a search finds them.
-    pub(crate) fn for_moments(layer: &Layer, moments: &[Vec<f64>]) -> Self {
+    pub(crate) fn for_moments(layer: &Layer, form: &Form) -> Self {
         let Matrix { inputs, outputs, values } = &layer.matrix;
-        let form = Form::of(moments);
         let mut integers = vec![0; inputs * outputs];
         let mut steps = vec![0.0; *outputs];
         for (output, most) in largest(&layer.matrix).enumerate().filter(|(_, most)| *most > 0.0) {
@@ -83,17 +82,16 @@ impl Rounded {
 
 /// The layer that gives, on inputs y behind rounded products, what `layer` gives on the exact ones x, as far as least squares
 /// can: its weights are w + (E y yᵀ)⁻¹ E y (x - y)ᵀ w. `second` is E y yᵀ, `drift` E (x - y) yᵀ.
-pub(crate) fn fitted(layer: &Layer, second: &[Vec<f64>], drift: &[Vec<f64>]) -> Layer {
+pub(crate) fn fitted(layer: &Layer, second: &Form, drift: &[Vec<f64>]) -> Layer {
     let Matrix { outputs, values, .. } = &layer.matrix;
-    let form = Form::of(second);
     let mut fitted = layer.clone();
     for output in 0..*outputs {
         let weights = values.iter().skip(output).step_by(*outputs);
-        let mut missing = vec![0.0; second.len()];
+        let mut missing = vec![0.0; drift.len()];
         for (weight, row) in weights.zip(drift) {
             missing.iter_mut().zip(row).for_each(|(sum, drift)| *sum += f64::from(*weight) * drift);
         }
-        let change = form.solve(&missing);
+        let change = second.solve(&missing);
         let column = fitted.matrix.values.iter_mut().skip(output).step_by(*outputs);
         column
             .zip(change)
@@ -114,14 +112,14 @@ fn largest(matrix: &Matrix) -> impl Iterator<Item = f32> + use<> {
 }
 
 /// The mean square of a product's error, as a quadratic form of its weights' errors.
-struct Form {
+pub(crate) struct Form {
     moments: Vec<Vec<f64>>,
     /// L of L Lᵀ = moments, by rows.
     root: Vec<Vec<f64>>,
 }
 
 impl Form {
-    fn of(moments: &[Vec<f64>]) -> Self {
+    pub(crate) fn of(moments: &[Vec<f64>]) -> Self {
         let mut moments = moments.to_vec();
         let variances = moments.iter().enumerate().map(|(place, row)| row[place]);
         let damping = DAMPING * variances.sum::<f64>() / moments.len().max(1) as f64;
@@ -309,6 +307,7 @@ mod tests {
         // x = (y0 + y1 / 4, y1 / 2), so that 0.5 y0 - 0.875 y1 are wanted.
         let second = vec![vec![4.0, 1.0], vec![1.0, 3.0]];
         let drift = vec![vec![0.25, 0.75], vec![-0.5, -1.5]];
+        let second = Form::of(&second);
         let got = fitted(&layer, &second, &drift).matrix.values;
         // Damping leaves a hundredth.
         assert!((got[0] - 0.5).abs() < 0.02 && (got[1] + 0.875).abs() < 0.02, "{got:?}");
@@ -336,7 +335,8 @@ mod tests {
         let matrix = Matrix { inputs: 2, outputs: 2, values: vec![0.0, 1.0, 1.0e-38, 0.5] };
         let layer = Layer { bias: vec![0.0; 2], relu: false, matrix };
         let moments = vec![vec![1.0, 0.2], vec![0.2, 0.5]];
-        for rounded in [Rounded::nearest(&layer), Rounded::for_moments(&layer, &moments)] {
+        for rounded in [Rounded::nearest(&layer), Rounded::for_moments(&layer, &Form::of(&moments))]
+        {
             assert_eq!([rounded.integers[0], rounded.integers[2]], [0; 2]);
             assert!(rounded.steps[0] == 0.0 && rounded.steps[1] > 0.0);
         }
@@ -346,7 +346,7 @@ mod tests {
     fn inputs_that_never_differ_leave_weights_near_the_nearest() {
         let matrix = Matrix { inputs: 2, outputs: 1, values: vec![0.31, -1.0] };
         let layer = Layer { bias: vec![0.0], relu: false, matrix };
-        let rounded = Rounded::for_moments(&layer, &[vec![0.0; 2], vec![0.0; 2]]);
+        let rounded = Rounded::for_moments(&layer, &Form::of(&[vec![0.0; 2], vec![0.0; 2]]));
         let got = rounded.layer(false).matrix.values;
         assert!((got[0] - 0.31).abs() < 0.01 && (got[1] + 1.0).abs() < 0.01, "{got:?}");
     }
