@@ -158,10 +158,14 @@ pub(crate) fn run(arguments: &TrainArguments) -> Outcome {
     let method = arguments.method.0.name;
     match ending? {
         Ending::Stopped if arguments.sweep.is_some() => Err(Failure::new(Exit::Interrupted, "")),
-        Ending::Stopped => Err(Failure::new(
-            Exit::Interrupted,
-            format!("stopped; go on with `sortie train {method} --resume {}`", folder.display()),
-        )),
+        Ending::Stopped => {
+            let folder = folder.display();
+            let next = match session.description().config.run.checkpoint_replay {
+                true => format!("go on with `sortie train {method} --resume {folder}`"),
+                false => format!("use what it learned: `sortie eval {folder}`"),
+            };
+            Err(Failure::new(Exit::Interrupted, format!("stopped; {next}")))
+        }
         Ending::Finished => {
             if !arguments.common.json && !arguments.common.quiet {
                 let folder = folder.display();

@@ -74,6 +74,9 @@ pub struct Head {
 /// What chooses the actions of all agents, the best that it knows.
 pub trait Act {
     /// Writes the actions that it is asked for.
+    ///
+    /// # Errors
+    /// The team cannot decide.
     fn act(&mut self, ask: Ask<'_>) -> Result<()>;
 
     /// `[A]`: the subtask that each agent of an instance acted for last, 255 for none; empty where there are none.

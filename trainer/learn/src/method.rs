@@ -49,13 +49,22 @@ pub trait Method: Send {
     fn begins(&mut self, _instance: usize, _random: &mut Random) {}
 
     /// Writes the actions that it is asked for, trying things out.
+    ///
+    /// # Errors
+    /// The team cannot decide.
     fn act(&mut self, ask: Ask<'_>, now: Now) -> Result<()>;
 
     /// Remembers a step, of all instances in turn.
+    ///
+    /// # Errors
+    /// It cannot be learned from.
     fn remember(&mut self, transition: &Transition<'_>) -> Result<()>;
 
     /// Makes the updates that are due; returns what each of them found and how many decisions were made. Methods that learn
     /// from every step as they remember it have none.
+    ///
+    /// # Errors
+    /// Learning cannot go on.
     fn update(&mut self, _environment: &dyn Environment, _now: Now) -> Result<Reports> {
         Ok(Reports::default())
     }
@@ -92,6 +101,9 @@ pub trait Method: Send {
     }
 
     /// Names everything that the run depends on from here on: what is written to checkpoints and read back.
+    ///
+    /// # Errors
+    /// What is read does not fit.
     fn state(&mut self, state: &mut State<'_>) -> Result<()>;
 
     /// The agents as they are deployed.
