@@ -7,7 +7,8 @@ use std::process::{Child, Stdio};
 use sortie_bundle::{hex, sha256};
 
 use crate::support::{
-    self, BUNDLE, TestDomain, assert_fails, copied_bundle, interrupt, output, sortie, wait_until,
+    self, BUNDLE, Ending as _, TestDomain, assert_fails, copied_bundle, interrupt, output, sortie,
+    wait_until,
 };
 
 fn path_of(path: &Path) -> String {
@@ -198,7 +199,7 @@ fn a_second_world_of_a_domain_is_refused() {
     let second = output(&["run", BUNDLE, "--domain", &domain.id, "--episodes", "1"]);
     assert_fails(&second, 75, &["world", &domain.id]);
     support::interrupt(&first);
-    assert_eq!(first.wait().expect("its status").code(), Some(130));
+    assert_eq!(first.ended().code(), Some(130));
     assert_eq!(domain.leftovers(), Vec::<std::path::PathBuf>::new());
 }
 
@@ -357,7 +358,7 @@ fn the_first_interrupt_ends_whoever_waits_for_a_pipe() {
         wait_until("it waits", || is_asleep(&child));
         interrupt(&child);
         wait_until("it ends", || child.try_wait().expect("its status").is_some());
-        let ended = child.wait().expect("its status");
+        let ended = child.ended();
         assert!([Some(130), None].contains(&ended.code()), "{verb:?}: {ended}");
     }
 }

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 use std::process::Stdio;
 
-use crate::support::{BUNDLE, TestDomain, assert_fails, json, output, sortie, stderr, wait_until};
+use crate::support::{
+    BUNDLE, Ending as _, TestDomain, assert_fails, json, output, sortie, stderr, wait_until,
+};
 
 /// Asks until the answer is as expected.
 fn await_info(domain: &str, is_expected: impl Fn(&[serde_json::Value]) -> bool) {
@@ -108,8 +110,8 @@ fn a_team_that_is_up_does_what_it_is_told() {
     let nobody = output(&["control", "pause", "--domain", &domain.id, "--process", "1"]);
     assert_fails(&nobody, 69, &["no process that could do it has answered"]);
     assert_eq!(tell("shut-down")["processes"][0]["outcome"], "done");
-    assert_eq!(up.wait().expect("its status").code(), Some(0));
-    assert_eq!(recorder.wait().expect("its status").code(), Some(0));
+    assert_eq!(up.ended().code(), Some(0));
+    assert_eq!(recorder.ended().code(), Some(0));
     // Both bundles decided, in turns, and two allocators: all of it is made again.
     let remade = json(&["remake", record, "--json"]);
     assert_eq!((&remade["different"], &remade["of_others"]), (&0.into(), &0.into()), "{remade}");
@@ -149,6 +151,6 @@ fn processes_that_run_graphs_say_so() {
         })
     });
     json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
-    assert_eq!(up.wait().expect("its status").code(), Some(0));
+    assert_eq!(up.ended().code(), Some(0));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 use crate::support::{
-    self, BUNDLE, TestDomain, assert_fails, interrupt, json, kill, output, sortie, stderr,
-    wait_until,
+    self, BUNDLE, Ending as _, TestDomain, assert_fails, interrupt, json, kill, output, sortie,
+    stderr, wait_until,
 };
 
 /// A team that plays until it is interrupted.
@@ -32,7 +32,7 @@ impl Playing {
 
     fn end(mut self) {
         interrupt(&self.0);
-        assert_eq!(self.0.wait().expect("its status").code(), Some(130));
+        assert_eq!(self.0.ended().code(), Some(130));
     }
 }
 

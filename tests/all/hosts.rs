@@ -2,13 +2,18 @@
 
 use std::io::{BufRead, BufReader};
 use std::net::{SocketAddr, UdpSocket};
+use std::path::Path;
 use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
-use crate::support::{BUNDLE, TestDomain, assert_fails, json, output, sortie, wait_until};
+use crate::support::{
+    BUNDLE, Ending as _, TestDomain, assert_fails, interrupt, json, output, resume, sortie, stop,
+    wait_until,
+};
+use serde_json::Value;
 
 /// An address that nobody listens at.
 fn free_address() -> String {
@@ -82,6 +87,13 @@ impl Away {
     }
 }
 
+impl Drop for Away {
+    /// It would look for its team for ever where a test fails.
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+    }
+}
+
 /// Waits until the team has played so many ticks more.
 fn ticks_pass(domain: &TestDomain, ticks: u64) {
     let tick = || {
@@ -104,7 +116,7 @@ fn agents_on_another_host_act_through_cuts_and_restarts() {
         .stderr(Stdio::null())
         .spawn()
         .expect("the command line starts");
-    wait_until("there is a secret", || std::path::Path::new(&key).exists());
+    wait_until("there is a secret", || Path::new(&key).exists());
     let line = Line::to(&address);
     let mut away = Away::join(&line.address, &key);
     away.says("acting for agents 3, 4; a round trip takes");
@@ -129,19 +141,68 @@ fn agents_on_another_host_act_through_cuts_and_restarts() {
     away.says("the team is heard again");
     // One that is killed gives way to the next.
     away.child.kill().expect("it lives");
-    away.child.wait().expect("its status");
+    away.child.ended();
     let mut next = Away::join(&line.address, &key);
     next.says("acting for agents 3, 4");
     ticks_pass(&domain, 60);
     json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
-    assert_eq!(up.wait().expect("its status").code(), Some(0));
-    assert_eq!(next.child.wait().expect("its status").code(), Some(0));
-    assert_eq!(recorder.wait().expect("its status").code(), Some(0));
+    assert_eq!(up.ended().code(), Some(0));
+    assert_eq!(next.child.ended().code(), Some(0));
+    assert_eq!(recorder.ended().code(), Some(0));
     wait_until("all have left", || domain.leftovers().is_empty());
     // What was decided elsewhere is made again here, bit for bit.
     let remade = json(&["remake", &record, "--json"]);
     assert_eq!(remade["different"], 0, "{remade}");
     assert!(remade["actions"].as_u64() > Some(500), "{remade}");
+}
+
+/// A team with a runner and an allocator elsewhere, which hear of its end however it ends.
+fn whoever_is_away_hears_of_the_end(name: &str, code: i32, end: impl Fn(&TestDomain, &Child)) {
+    let domain = TestDomain::new(name);
+    let folder = tempfile::tempdir().expect("a folder");
+    let key = folder.path().join("line.key").to_string_lossy().into_owned();
+    let (listen, allocator_listen) = (free_address(), free_address());
+    let mut up = sortie(&["up", BUNDLE, "--rate", "100", "--quiet", "--domain", &domain.id])
+        .args(["--away", "3,4", "--listen", &listen, "--key", &key])
+        .args(["--allocator-listen", &allocator_listen])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the command line starts");
+    wait_until("there is a secret", || Path::new(&key).exists());
+    let mut runner = Away::join(&listen, &key);
+    runner.says("acting for agents 3, 4");
+    let join = ["join", &allocator_listen, BUNDLE, "--allocator", "--key", &key];
+    let mut allocator = Away::start(&join);
+    allocator.says("allocating");
+    end(&domain, &up);
+    assert_eq!(up.ended().code(), Some(code));
+    assert_eq!(runner.child.ended().code(), Some(0));
+    assert_eq!(allocator.child.ended().code(), Some(0));
+}
+
+#[test]
+fn a_signal_to_the_team_reaches_who_stands_in_before_the_worlds_end_does() {
+    whoever_is_away_hears_of_the_end("hosts-signal", 130, |_, up| interrupt(up));
+}
+
+#[test]
+fn who_stands_in_runs_again_only_when_the_world_has_ended_and_it_is_told_to_end() {
+    whoever_is_away_hears_of_the_end("hosts-late", 0, |domain, _| {
+        let told = json(&["control", "info", "--domain", &domain.id, "--json"]);
+        let processes = told["processes"].as_array().expect("a list");
+        let pids = |is_one: &dyn Fn(&Value) -> bool| -> Vec<u32> {
+            let pids = processes.iter().filter(|one| is_one(one)).map(|one| one["pid"].as_u64());
+            pids.map(|pid| pid.expect("a process id") as u32).collect()
+        };
+        let world = pids(&|one| one["role"] == "world")[0];
+        let late = pids(&|one| one["role"] != "world");
+        late.iter().for_each(|&pid| stop(pid));
+        // Nobody else answers: those that are stopped cannot.
+        output(&["control", "shut-down", "--domain", &domain.id]);
+        wait_until("the world has ended", || !Path::new(&format!("/proc/{world}")).exists());
+        late.iter().for_each(|&pid| resume(pid));
+    });
 }
 
 /// Who leads the allocators, and in which term; none where nobody says so.
@@ -164,7 +225,7 @@ fn an_allocator_on_another_host_leads_while_it_is_heard() {
         .stderr(Stdio::null())
         .spawn()
         .expect("the command line starts");
-    wait_until("there is a secret", || std::path::Path::new(&key).exists());
+    wait_until("there is a secret", || Path::new(&key).exists());
     wait_until("the team plays", || {
         output(&["control", "info", "--domain", &domain.id]).status.success()
     });
@@ -204,9 +265,9 @@ fn an_allocator_on_another_host_leads_while_it_is_heard() {
     assert_eq!(leads_next(again).0, stand_in.0);
     ticks_pass(&domain, 50);
     json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
-    assert_eq!(up.wait().expect("its status").code(), Some(0));
-    assert_eq!(away.child.wait().expect("its status").code(), Some(0));
-    assert_eq!(recorder.wait().expect("its status").code(), Some(0));
+    assert_eq!(up.ended().code(), Some(0));
+    assert_eq!(away.child.ended().code(), Some(0));
+    assert_eq!(recorder.ended().code(), Some(0));
     wait_until("all have left", || domain.leftovers().is_empty());
     // What was allocated elsewhere is what is allocated here.
     let remade = json(&["remake", &record, "--json"]);
@@ -257,5 +318,5 @@ fn who_does_not_fit_is_refused_by_what_differs() {
     let reload = output(&["control", "reload", &large, "--domain", &domain.id]);
     assert_fails(&reload, 69, &["the team keeps what it has", "can change to no other bundle"]);
     json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
-    assert_eq!(team.wait().expect("its status").code(), Some(0));
+    assert_eq!(team.ended().code(), Some(0));
 }

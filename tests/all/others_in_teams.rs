@@ -6,7 +6,9 @@ use std::process::Stdio;
 
 use serde_json::Value;
 
-use crate::support::{TestDomain, assert_fails, interrupt, json, output, sortie, wait_until};
+use crate::support::{
+    Ending as _, TestDomain, assert_fails, interrupt, json, output, sortie, wait_until,
+};
 
 const FOLDER: &str = "tests/golden/onnx-team";
 const SET: &str = "group-matching/8x6x2";
@@ -114,7 +116,7 @@ fn the_doctor_misses_no_allocator_where_nothing_is_allocated() {
         found.status.success() && text.contains("none: there is nothing to allocate")
     });
     interrupt(&up);
-    assert_eq!(up.wait().expect("its status").code(), Some(130));
+    assert_eq!(up.ended().code(), Some(130));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::support::{
-    self, BUNDLE, SMALL, assert_fails, interrupt, json, output, sortie, wait_until,
+    self, BUNDLE, Ending as _, SMALL, assert_fails, interrupt, json, output, sortie, wait_until,
 };
 
 fn train(folder: &str, steps: &str, threads: &str) {
@@ -210,7 +210,7 @@ fn a_run_that_was_interrupted_goes_on_as_if_it_had_not_been() {
         fs::metadata(Path::new(&parts).join("curve.json")).is_ok_and(|file| file.len() > 0)
     });
     interrupt(&child);
-    assert_eq!(child.wait().expect("its status").code(), Some(130));
+    assert_eq!(child.ended().code(), Some(130));
     let resumed = output(&["train", "alma", "--resume", &parts, "-q"]);
     assert!(resumed.status.success(), "{}", support::stderr(&resumed));
     assert_eq!(newest_tensors(&whole), newest_tensors(&parts));

@@ -7,8 +7,8 @@ use std::process::{Child, Command, Stdio};
 use serde_json::Value;
 
 use crate::support::{
-    BUNDLE, Playing, TestDomain, assert_fails, json, kill, output, python, sortie, stderr,
-    wait_until,
+    BUNDLE, Ending as _, Playing, TestDomain, assert_fails, json, kill, output, python, sortie,
+    stderr, wait_until,
 };
 
 /// What helps where Python has no reader.
@@ -102,7 +102,7 @@ fn a_record_whose_writer_was_killed_is_finished_and_read() {
             std::fs::metadata(&file).is_ok_and(|file| file.len() > 200_000)
         });
         recorder.kill().expect("it lives");
-        recorder.wait().expect("its status");
+        recorder.ended();
         let told = json(&["record", "--finish", name, "--json"]);
         let messages = told["messages"].as_u64().expect("a count");
         let (counts, ticks) = read_by_others(&file);
@@ -313,7 +313,7 @@ fn whatever_is_changed_in_a_record_that_a_decision_read_or_made_is_named() {
     let mut recorder = recorder.stdout(Stdio::null()).spawn().expect("it starts");
     wait_until("it records", || std::fs::metadata(&file).is_ok_and(|file| file.len() > 1_600_000));
     recorder.kill().expect("it lives");
-    recorder.wait().expect("its status");
+    recorder.ended();
     up.shut_down(&domain);
     let whole = std::fs::read(&file).expect("it is there");
     let remade = json(&["remake", name, "--json"]);

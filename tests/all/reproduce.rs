@@ -3,7 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use crate::support::{assert_fails, interrupt, json, output, sortie, stderr, wait_until};
+use crate::support::{
+    Ending as _, assert_fails, interrupt, json, output, sortie, stderr, wait_until,
+};
 
 /// Two methods in two cases, whose runs take a moment; maps differ by seed in one.
 const RECIPES: &str = r#"
@@ -141,7 +143,7 @@ fn what_was_stopped_goes_on() {
     let runs = || ["multi-s3", "none-s3"].map(|run| Path::new(&out).join("small/task-2").join(run));
     wait_until("a run has begun", || runs().iter().any(|run| run.join("train.toml").exists()));
     interrupt(&child);
-    assert_eq!(child.wait().expect("its status").code(), Some(130));
+    assert_eq!(child.ended().code(), Some(130));
     assert!(!Path::new(&out).join("small/table.md").exists());
     let again = output(&arguments);
     assert!(again.status.success(), "{}", stderr(&again));

@@ -4,7 +4,9 @@ use std::fs;
 use std::path::Path;
 use std::process::Stdio;
 
-use crate::support::{SMALL, assert_fails, interrupt, output, sortie, stderr, wait_until};
+use crate::support::{
+    Ending as _, SMALL, assert_fails, interrupt, output, sortie, stderr, wait_until,
+};
 
 /// `sortie train alma` with small settings and these.
 fn train<'a>(more: &[&'a str]) -> Vec<&'a str> {
@@ -46,7 +48,7 @@ fn a_run_that_was_killed_goes_on_whatever_it_had_written() {
         let mut child = sortie(&arguments).spawn().expect("the command line starts");
         wait_until("it has come that far", || Path::new(&run).join(until).exists());
         child.kill().expect("it is killed");
-        child.wait().expect("its status");
+        child.ended();
         let again = output(&train(&["--out", &run, "--steps", "2000", "-q"]));
         assert_fails(&again, 2, &[&run, "--resume"]);
         succeed(&["train", "alma", "--resume", &run, "-q"]);
@@ -62,7 +64,7 @@ fn a_sweep_that_was_killed_goes_on_with_the_same_command() {
     let mut child = sortie(&arguments).spawn().expect("the command line starts");
     wait_until("a run has begun", || Path::new(&format!("{out}-s1/train.toml")).exists());
     child.kill().expect("it is killed");
-    child.wait().expect("its status");
+    child.ended();
     succeed(&arguments);
     for seed in 1..=2 {
         assert!(Path::new(&format!("{out}-s{seed}/result.json")).exists(), "seed {seed}");
@@ -113,7 +115,7 @@ fn one_run_is_learned_by_one_process() {
     let second = output(&["train", "alma", "--resume", &run]);
     assert_fails(&second, 75, &[&run, &child.id().to_string()]);
     interrupt(&child);
-    assert_eq!(child.wait().expect("its status").code(), Some(130));
+    assert_eq!(child.ended().code(), Some(130));
 }
 
 #[test]
@@ -207,7 +209,7 @@ fn output_that_nobody_reads_changes_nothing() {
         .spawn()
         .expect("the command line starts");
     drop((child.stdout.take(), child.stderr.take()));
-    assert_eq!(child.wait().expect("its status").code(), Some(0));
+    assert_eq!(child.ended().code(), Some(0));
     assert_eq!(newest_tensors(&whole), newest_tensors(&lost));
     assert!(Path::new(&lost).join("result.json").exists());
 }

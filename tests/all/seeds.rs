@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::support::{SMALL, interrupt, json, output, sortie, stderr, wait_until};
+use crate::support::{Ending as _, SMALL, interrupt, json, output, sortie, stderr, wait_until};
 
 /// `sortie train alma --seeds 1..3` into folders that begin with `out`.
 fn sweep<'a>(out: &'a str, steps: &'a str, last: &'a str) -> Vec<&'a str> {
@@ -55,7 +55,7 @@ fn a_stopped_sweep_goes_on_with_the_same_command() {
         })
     });
     interrupt(&child);
-    assert_eq!(child.wait().expect("its status").code(), Some(130));
+    assert_eq!(child.ended().code(), Some(130));
     assert!((1..=3).any(|seed| reported(&out, seed).is_none()), "something is left to do");
 
     let finished = output(&sweep(&out, "2400", "-q"));

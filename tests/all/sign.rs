@@ -8,8 +8,8 @@ use std::process::{Child, Stdio};
 use serde_json::Value;
 
 use crate::support::{
-    BUNDLE, TestDomain, assert_fails, copied_bundle, interrupt, json, output, sortie, stderr,
-    wait_until,
+    BUNDLE, Ending as _, TestDomain, assert_fails, copied_bundle, interrupt, json, output, sortie,
+    stderr, wait_until,
 };
 
 const CART: &str = "examples/embed_c/cart.plan";
@@ -151,7 +151,7 @@ fn a_team_loads_no_other_bundle_that_nobody_signed() {
     let processes = reloaded["processes"].as_array().expect("processes");
     assert!(processes.iter().all(|process| process["outcome"] == "done"), "{reloaded}");
     json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
-    assert_eq!(up.0.wait().expect("its status").code(), Some(0));
+    assert_eq!(up.0.ended().code(), Some(0));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 
@@ -171,7 +171,7 @@ fn a_plan_is_signed_beside_itself_and_served_to_who_trusts_its_signer() {
     wait_until("it serves", || {
         output(&["control", "shut-down", "--domain", &domain.id]).status.success()
     });
-    assert!(server.wait().expect("its status").success());
+    assert!(server.ended().success());
     // Of the test key that stands in the documentation of the core, which nobody here trusts.
     fs::copy(format!("{CART}.sig"), format!("{plan}.sig")).expect("a copy");
     assert_fails(&output(&refused), 77, &["with no key of"]);

@@ -5,7 +5,9 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
 use std::process::{Child, ChildStderr, Output, Stdio};
 
-use crate::support::{self, BUNDLE, TestDomain, assert_fails, interrupt, json, sortie, wait_until};
+use crate::support::{
+    self, BUNDLE, Ending as _, TestDomain, assert_fails, interrupt, json, sortie, wait_until,
+};
 
 fn play(domain: &TestDomain, more: &[&str]) -> serde_json::Value {
     let mut arguments = vec!["run", BUNDLE, "--json", "--domain", &domain.id];
@@ -44,7 +46,7 @@ impl Endless {
     fn output(mut self) -> Output {
         let mut stderr = Vec::new();
         self.stderr.read_to_end(&mut stderr).expect("its standard error");
-        let status = self.child.wait().expect("its status");
+        let status = self.child.ended();
         Output { status, stdout: Vec::new(), stderr }
     }
 

@@ -7,8 +7,8 @@ use std::process::{Child, Command, Stdio};
 use serde_json::Value;
 
 use crate::support::{
-    BUNDLE, Playing, TestDomain, assert_fails, json, kill, output, python, resume, sortie, stderr,
-    stop, wait_until,
+    BUNDLE, Ending as _, Playing, TestDomain, assert_fails, json, kill, output, python, resume,
+    sortie, stderr, stop, wait_until,
 };
 
 /// What helps where Python has no client of Prometheus.
@@ -152,7 +152,7 @@ fn a_runner_that_is_killed_is_seen_to_be_gone_and_to_be_replaced() {
     let taken = served.place.trim_start_matches("http://");
     assert_fails(&output(&[&again[..], &[taken]].concat()), 75, &[taken, "--serve ADDRESS:PORT"]);
     up.end(&domain);
-    assert_eq!(served.process.wait().expect("its status").code(), Some(0));
+    assert_eq!(served.process.ended().code(), Some(0));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
 
@@ -192,6 +192,6 @@ fn a_line_is_told_each_time_until_the_team_ends() {
     }
     assert!(ticks.is_sorted_by(|one, next| one < next), "{ticks:?}");
     up.end(&domain);
-    assert_eq!(top.wait().expect("its status").code(), Some(0));
+    assert_eq!(top.ended().code(), Some(0));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::process::{Child, ChildStderr, Stdio};
 
 use crate::support::{
-    BUNDLE, TestDomain, assert_fails, interrupt, json, kill, output, resume, sortie, stderr, stop,
-    terminate, wait_until,
+    BUNDLE, Ending as _, TestDomain, assert_fails, interrupt, json, kill, output, resume, sortie,
+    stderr, stop, terminate, wait_until,
 };
 
 /// A team that is up, and what it tells.
@@ -54,7 +54,7 @@ impl Up {
     fn end(mut self) -> Option<i32> {
         interrupt(&self.child);
         self.lines.read_to_end(&mut Vec::new()).expect("its standard error");
-        self.child.wait().expect("its status").code()
+        self.child.ended().code()
     }
 }
 
@@ -104,7 +104,7 @@ fn a_killed_supervisor_leaves_a_team_that_the_next_one_looks_after() {
     first.await_line(&["the world joined"]);
     first.await_line(&["the runner of agent", "joined"]);
     kill(first.child.id());
-    first.child.wait().expect("its status");
+    first.child.ended();
     let mut second = Up::start(&domain, &["--standbys", "0"]);
     // Its own runner finds the seats taken, until they are free.
     let behind = second.await_line(&["the runner of agent", "stands by behind process"]);
@@ -143,7 +143,7 @@ fn a_second_team_stands_by_says_so_once_and_takes_over() {
     for words in [&["stands by"][..], &["exit code"], &["error: "]] {
         assert_eq!(second.lines_with(words), 0, "{:?}", second.unclaimed);
     }
-    assert_eq!(first.child.wait().expect("its status").code(), Some(0));
+    assert_eq!(first.child.ended().code(), Some(0));
     assert_eq!(second.end(), Some(130));
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
 }
@@ -157,7 +157,7 @@ fn whom_world_and_supervisor_left_are_ended_by_control() {
     up.await_line(&["leads the allocators"]);
     kill(up.child.id());
     kill(world);
-    up.child.wait().expect("its status");
+    up.child.ended();
     let other = ["run", BUNDLE, "--domain", &domain.id, "--episodes", "1"];
     let words = ["has a team that runs at 200 Hz", "sortie control shut-down"];
     assert_fails(&output(&other), 75, &words);
@@ -244,7 +244,7 @@ fn a_world_that_fills_all_seats_plays_as_the_team_does() {
         .spawn()
         .expect("the command line starts");
     let filled = play(&domain, &["process", "world", BUNDLE, "--fill", "--allocation", "learned"]);
-    assert!(allocator.wait().expect("its status").success());
+    assert!(allocator.ended().success());
     assert_eq!(domain.leftovers(), Vec::<PathBuf>::new());
     assert_eq!(filled, play(&domain, &["up", BUNDLE]));
 }

@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
@@ -124,7 +124,7 @@ impl Playing {
     /// Ends it; whoever else is in the domain leaves by itself.
     pub(crate) fn end(mut self, domain: &TestDomain) {
         json(&["control", "shut-down", "--domain", &domain.id, "--json"]);
-        assert_eq!(self.0.wait().expect("its status").code(), Some(0));
+        assert_eq!(self.0.ended().code(), Some(0));
     }
 
     /// Ends it as the last ones there.
@@ -174,12 +174,29 @@ pub(crate) fn copied_bundle() -> tempfile::TempDir {
     folder
 }
 
-/// Polls until `done`, for at most half a minute.
+/// Polls until `done`, for at most two minutes.
 pub(crate) fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
     let until = Instant::now() + Duration::from_secs(120);
     while !done() {
         assert!(Instant::now() < until, "in 120 s: {what}");
         std::thread::park_timeout(Duration::from_millis(5));
+    }
+}
+
+/// A process that comes to its end by itself.
+pub(crate) trait Ending {
+    /// How it ended. One that does not, for two minutes, fails its test and not the whole run of tests.
+    fn ended(&mut self) -> ExitStatus;
+}
+
+impl Ending for Child {
+    fn ended(&mut self) -> ExitStatus {
+        let mut status = None;
+        wait_until("a process ends", || {
+            status = self.try_wait().expect("its status");
+            status.is_some()
+        });
+        status.expect("it has ended")
     }
 }
 

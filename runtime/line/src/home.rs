@@ -69,6 +69,13 @@ struct Runner {
     address: Option<SocketAddr>,
 }
 
+impl Runner {
+    /// The head of what it is shown next, and where it is.
+    fn next(&mut self) -> (Head, Option<SocketAddr>) {
+        (self.session.next(Kind::Shown), self.address)
+    }
+}
+
 impl Home {
     /// Listens for a runner that `judge` takes; `wake` is called whenever there is something to read.
     ///
@@ -103,24 +110,21 @@ impl Home {
 
     /// Says what was written since, in one datagram. To nobody, where nobody is there.
     pub fn send(&self) {
-        self.send_copies(self.shared.copies);
-    }
-
-    /// The same for the last words of a team: so often that whoever is there hears them.
-    pub fn send_last(&self) {
-        self.send_copies(LAST_WORDS);
-    }
-
-    fn send_copies(&self, copies: usize) {
         let said = self.outgoing.take();
-        if said.is_empty() || said.len() > LONGEST_SAID {
-            return;
+        let addressed = self.shared.state().runner.as_mut().map(Runner::next);
+        if let Some(to) = addressed {
+            self.shared.show(&said, to, self.shared.copies);
         }
-        let mut state = self.shared.state();
-        let Some(Runner { session, address, .. }) = &mut state.runner else { return };
-        let (head, address) = (session.next(Kind::Shown), *address);
-        drop(state);
-        self.shared.say(head, &said, address, copies);
+    }
+
+    /// The same for the last words of a team: so often that whoever is there hears them, and who was welcomed a moment ago, too.
+    pub fn send_last(&self) {
+        let said = self.outgoing.take();
+        let addressed: Vec<_> = {
+            let State { runner, welcomed, .. } = &mut *self.shared.state();
+            runner.iter_mut().chain(welcomed).map(Runner::next).collect()
+        };
+        addressed.into_iter().for_each(|to| self.shared.show(&said, to, LAST_WORDS));
     }
 
     /// How long ago the runner was heard last; none: never.
@@ -148,6 +152,12 @@ impl Shared {
         let datagram = seal(&self.key, head, said);
         for _ in 0..copies {
             self.carrier.send(&datagram, address);
+        }
+    }
+
+    fn show(&self, said: &[u8], (head, address): (Head, Option<SocketAddr>), copies: usize) {
+        if !said.is_empty() && said.len() <= LONGEST_SAID {
+            self.say(head, said, address, copies);
         }
     }
 

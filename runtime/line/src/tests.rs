@@ -83,6 +83,15 @@ fn what_is_said_arrives_in_one_piece() {
 }
 
 #[test]
+fn whoever_was_welcomed_hears_the_last_words_without_having_said_any() {
+    let (home, address) = home(Key::plain());
+    let Taken { mut line, .. } = connect(address, Key::plain(), OFFER).unwrap();
+    home.port().write_all(b"the end").unwrap();
+    home.send_last();
+    assert_eq!(read(&mut line), b"the end");
+}
+
+#[test]
 fn strangers_and_others_are_not_taken() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("line.key");

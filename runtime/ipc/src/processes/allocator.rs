@@ -13,7 +13,9 @@ use sortie_core::{Allocator, Shape};
 use super::abandoned::Abandoned;
 use super::children::Parent;
 use super::models::{Held, Models, Registry};
-use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive, is_named};
+use super::{
+    Controlled, FAR_SIGNAL_PATIENCE, Process, ProcessSettings, WORLD_PATIENCE, drive, is_named,
+};
 use crate::domain::{Domain, DomainContract, DomainFacts, Lock, Membership};
 use crate::error::Error;
 use crate::iox::{IoxAllocator, LinkSetup};
@@ -120,7 +122,7 @@ impl AllocatorProcess {
         registry: Option<Registry<SwappedAllocator>>,
         stop: &Stop,
     ) -> Result<(), Error> {
-        self.run(allocator, registry, &|| true, stop)
+        self.run(allocator, registry, (&|| true, Duration::ZERO), stop)
     }
 
     /// As [`Self::allocate`] with one allocator, for as long as it may lead: otherwise, and where it refuses a state because it may
@@ -131,7 +133,7 @@ impl AllocatorProcess {
         allocator: &mut dyn Allocator,
         stop: &Stop,
     ) -> Result<(), Error> {
-        self.run(allocator, None, may_lead, stop)
+        self.run(allocator, None, (may_lead, FAR_SIGNAL_PATIENCE), stop)
     }
 
     /// What its domain is.
@@ -149,7 +151,7 @@ impl AllocatorProcess {
         &mut self,
         allocator: &mut dyn Allocator,
         registry: Option<Registry<SwappedAllocator>>,
-        may_lead: &dyn Fn() -> bool,
+        (may_lead, signal_patience): (&dyn Fn() -> bool, Duration),
         stop: &Stop,
     ) -> Result<(), Error> {
         let schema = self.schema;
@@ -171,6 +173,7 @@ impl AllocatorProcess {
             identity,
             schema,
             may_lead,
+            signal_patience,
             is_told_to_end: false,
         };
         drive(&mut allocating, link, stop)
@@ -196,6 +199,7 @@ struct Allocating<'a, 'm> {
     identity: &'a mut Identity,
     schema: u64,
     may_lead: &'a dyn Fn() -> bool,
+    signal_patience: Duration,
     is_told_to_end: bool,
 }
 
@@ -225,6 +229,10 @@ impl Process for Allocating<'_, '_> {
 
     fn leaves_loop(&self) -> bool {
         self.is_told_to_end
+    }
+
+    fn signal_patience(&self) -> Duration {
+        self.signal_patience
     }
 
     fn look_around(&mut self) -> Result<(), Error> {

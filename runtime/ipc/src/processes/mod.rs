@@ -17,6 +17,7 @@ use sortie_core::link::{Bell, Clock, Wake};
 use sortie_core::roles::{Counters, Identity, Poll};
 use sortie_core::wire::{Command, ControlRep, ControlReq, ControlStatus};
 
+use crate::domain::nanoseconds;
 use crate::error::Error;
 use crate::iox::{ControlRx, Housekeeping, set_log_level};
 use crate::process_info::{BUILD, ProcessInfo};
@@ -37,6 +38,8 @@ pub use world::{Fill, WorldSettings, world_process, world_process_with_fill};
 pub(crate) const HEARTBEAT_NS: u64 = 100_000_000;
 /// Longest wait for a signal that explains a failure.
 const SIGNAL_PATIENCE: Duration = Duration::from_millis(100);
+/// How long who stands in for another host looks for the world's end after a signal to all: that host would wait for the team.
+const FAR_SIGNAL_PATIENCE: Duration = Duration::from_millis(500);
 /// Longest wait of runners and the allocator for a world.
 const WORLD_PATIENCE: Duration = Duration::from_secs(10);
 
@@ -109,6 +112,11 @@ trait Process: Controlled {
         false
     }
 
+    /// How long it looks for the world's end after a signal, which may be here first.
+    fn signal_patience(&self) -> Duration {
+        Duration::ZERO
+    }
+
     /// Looks at the processes that it depends on, once per heartbeat.
     fn look_around(&mut self) -> Result<(), Error>;
 }
@@ -130,12 +138,18 @@ fn run<P: Process>(process: &mut P, link: &mut P::Link, stop: &Stop) -> Result<(
     let mut kept_house_ns = link.now_ns();
     // The bell's state after a heartbeat that nobody ended.
     let mut unrung = None;
+    let mut stopped_ns = None;
     loop {
-        if stop.is_set() {
-            return Err(Error::Interrupted);
-        }
         let token = link.token();
+        // Before a signal is looked at: what came sooner, the world's end above all, is taken in.
         let polled = process.poll(link)?;
+        if polled != Poll::Ended && stop.is_set() {
+            let stopped_ns = *stopped_ns.get_or_insert_with(|| link.now_ns());
+            let patience_ns = nanoseconds(process.signal_patience());
+            if link.now_ns().saturating_sub(stopped_ns) >= patience_ns {
+                return Err(Error::Interrupted);
+            }
+        }
         // Somebody did not ring, or was not heard.
         let is_missed = unrung.take() == Some(token) && polled != Poll::Wait { until_ns: u64::MAX };
         process.counters_mut().missed_wake_ups += u64::from(is_missed);

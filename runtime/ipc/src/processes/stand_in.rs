@@ -16,7 +16,10 @@ use super::abandoned::Abandoned;
 use super::allocator::AllocatorProcess;
 use super::children::Parent;
 use super::runner::{port_name, seats};
-use super::{Controlled, Process, ProcessSettings, WORLD_PATIENCE, drive, is_named, linger};
+use super::{
+    Controlled, FAR_SIGNAL_PATIENCE, Process, ProcessSettings, WORLD_PATIENCE, drive, is_named,
+    linger,
+};
 use crate::domain::{Domain, DomainContract, Lock, Membership, model_text};
 use crate::error::Error;
 use crate::iox::{IoxAgent, LinkSetup};
@@ -188,6 +191,10 @@ impl Process for StandIn<'_> {
 
     fn leaves_loop(&self) -> bool {
         self.is_told_to_end
+    }
+
+    fn signal_patience(&self) -> Duration {
+        FAR_SIGNAL_PATIENCE
     }
 
     fn look_around(&mut self) -> Result<(), Error> {
