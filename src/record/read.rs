@@ -1,6 +1,6 @@
 //! Reading from front to back, with chunks or without.
 
-use std::io::Read;
+use std::io::{self, Read};
 
 use lz4_flex::frame::FrameDecoder;
 
@@ -183,7 +183,7 @@ impl<R: Read> Reader<R> {
         match by {
             "" => self.chunk.extend(packed),
             "lz4" => {
-                let unpacked = FrameDecoder::new(packed).take(size).read_to_end(&mut self.chunk);
+                let unpacked = unpack(packed, size, &mut self.chunk);
                 unpacked.map_err(|_| broken("a chunk's compression"))?;
             }
             _ => return Err(RecordError::Compression { by: by.to_owned(), at }),
@@ -195,6 +195,11 @@ impl<R: Read> Reader<R> {
         }
         Ok(())
     }
+}
+
+/// Outside of what is generic, which would be compiled where records are read, for size.
+fn unpack(packed: &[u8], most: u64, chunk: &mut Vec<u8>) -> io::Result<usize> {
+    FrameDecoder::new(packed).take(most).read_to_end(chunk)
 }
 
 fn name(opcode: u8) -> &'static str {
