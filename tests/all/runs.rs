@@ -1,6 +1,7 @@
 //! Runs that nothing can waste: killed, started twice, with other values, in places that are taken.
 
 use std::fs;
+use std::io::Read;
 use std::path::Path;
 use std::process::Stdio;
 
@@ -116,6 +117,27 @@ fn one_run_is_learned_by_one_process() {
     assert_fails(&second, 75, &[&run, &child.id().to_string()]);
     interrupt(&child);
     assert_eq!(child.ended().code(), Some(130));
+}
+
+/// Its checkpoints are small, and it says what they are good for.
+#[test]
+fn a_run_that_keeps_no_replay_is_used_and_not_resumed() {
+    let place = Place::new();
+    let run = place.path("run");
+    let without =
+        ["--out", &run, "--steps", "1000000", "-q", "--set", "run.checkpoint_replay=false"];
+    let child = sortie(&train(&without)).stderr(Stdio::piped()).spawn();
+    let mut child = child.expect("the command line starts");
+    wait_until("it has begun", || Path::new(&run).join("checkpoints/000000000000").exists());
+    interrupt(&child);
+    assert_eq!(child.ended().code(), Some(130));
+    let mut told = String::new();
+    let said = child.stderr.take().expect("standard error").read_to_string(&mut told);
+    assert!(said.is_ok() && told.contains(&format!("`sortie eval {run}`")), "{told}");
+    assert!(!told.contains("--resume"), "{told}");
+    let resumed = output(&["train", "alma", "--resume", &run]);
+    assert_fails(&resumed, 2, &["`run.checkpoint_replay=false`", "`run.from`"]);
+    succeed(&["eval", &run, "--episodes", "2"]);
 }
 
 #[test]
