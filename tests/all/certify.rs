@@ -95,7 +95,7 @@ fn a_board_that_cannot_be_run_is_named_and_fails_where_it_is_asked_for() {
     let usual = asked(&[]);
     assert!(usual.status.success(), "{}", stderr(&usual));
     let said = String::from_utf8_lossy(&usual.stdout).into_owned();
-    for board in ["cortex-m4f", "rv32imc", "rv32imafc"] {
+    for board in ["cortex-m4f", "rv32imc", "rv32imafc", "aarch64"] {
         assert!(said.contains(&format!("Not run: {board}: `cargo`")), "{said}");
     }
     assert_fails(&asked(&["--on", "cortex-m0"]), 69, &["cortex-m0", "cargo"]);

@@ -50,7 +50,7 @@ fn missing_packages_are_named_for_each_board() {
     let path = programs(&[("cargo", "exit 1"), ("rustc", &rustup(root.path()))]);
     let nowhere = path.path().join("no-such-rustc");
     let arm = "rustc-web rust-web-src qemu-system-arm";
-    for board in ["cortex-m4f", "cortex-m7", "cortex-m3", "cortex-m0"] {
+    for board in ["cortex-m4f", "cortex-m7", "cortex-m3", "cortex-m0", "aarch64"] {
         assert_eq!(named(&asked(board, path.path(), &nowhere)), arm, "{board}");
     }
     let riscv = "rustc-web rust-web-src qemu-system-misc";

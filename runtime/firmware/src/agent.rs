@@ -9,11 +9,13 @@
 mod clock;
 mod console;
 mod domain;
+#[cfg_attr(target_arch = "aarch64", path = "aarch64.rs")]
 #[cfg_attr(target_arch = "arm", path = "cortex_m.rs")]
 #[cfg_attr(target_arch = "riscv32", path = "riscv.rs")]
 mod machine;
 mod no_panic;
 mod plan;
+#[cfg_attr(target_arch = "aarch64", path = "port_pl011.rs")]
 #[cfg_attr(target_arch = "arm", path = "port_cmsdk.rs")]
 #[cfg_attr(target_arch = "riscv32", path = "port_16550.rs")]
 mod port;
@@ -45,7 +47,7 @@ struct Memory {
 static mut MEMORY: Memory =
     Memory { arena: Aligned([0; _]), frames: MaybeUninit::zeroed(), packet: [0; _] };
 
-/// Where both machines come to.
+/// Where every machine comes to.
 fn start() -> ! {
     match run() {
         Ok(()) => console::end(0),

@@ -8,6 +8,7 @@
 mod console;
 mod file;
 mod known;
+#[cfg_attr(target_arch = "aarch64", path = "aarch64.rs")]
 #[cfg_attr(target_arch = "arm", path = "cortex_m.rs")]
 #[cfg_attr(target_arch = "riscv32", path = "riscv.rs")]
 mod machine;
@@ -56,7 +57,7 @@ static mut MEMORY: Memory = Memory {
 
 const NO_ROOM: Reason = b"the plan needs more room than this program has\n\0";
 
-/// Where both machines come to.
+/// Where every machine comes to.
 #[unsafe(link_section = ".harness")]
 #[inline(never)]
 fn start() -> ! {

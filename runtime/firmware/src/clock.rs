@@ -6,7 +6,7 @@ use sortie_core::link::{Clock, Processor};
 
 use crate::machine::{MOST_TICKS, now};
 
-/// Nanoseconds of a tick: the boards `mps2` count at 25 MHz, and an instruction of RV32 takes one in the emulator.
+/// Nanoseconds of a tick: the boards `mps2` count at 25 MHz, and an instruction of the others takes one in the emulator.
 const NS_PER_TICK: u64 = if cfg!(target_arch = "arm") { 40 } else { 1 };
 
 /// The clock: there is one counter.

@@ -14,6 +14,14 @@ pub(crate) fn run_instructions() {
         );
     }
     // SAFETY: likewise.
+    #[cfg(target_arch = "aarch64")]
+    unsafe {
+        asm!(
+            "2:", "nop", "nop", "nop", "nop", "nop", "nop", "nop", "nop", "subs {left:w}, {left:w}, #1", "b.ne 2b",
+            left = inout(reg) 10_000 => _, options(nomem, nostack),
+        );
+    }
+    // SAFETY: likewise.
     #[cfg(target_arch = "riscv32")]
     unsafe {
         asm!(

@@ -8,6 +8,7 @@ mod console;
 mod file;
 mod known;
 mod loaded;
+#[cfg_attr(target_arch = "aarch64", path = "aarch64.rs")]
 #[cfg_attr(target_arch = "arm", path = "cortex_m.rs")]
 #[cfg_attr(target_arch = "riscv32", path = "riscv.rs")]
 mod machine;
@@ -54,7 +55,7 @@ struct Controller {
     memory: &'static mut Memory,
 }
 
-/// Where both machines come to.
+/// Where every machine comes to.
 #[unsafe(link_section = ".harness")]
 #[inline(never)]
 fn start() -> ! {

@@ -50,7 +50,7 @@ pub(crate) fn used(base: usize) -> usize {
 pub(crate) fn stack_pointer() -> usize {
     let at;
     // SAFETY: only reads.
-    #[cfg(target_arch = "arm")]
+    #[cfg(any(target_arch = "aarch64", target_arch = "arm"))]
     unsafe {
         asm!("mov {}, sp", out(reg) at, options(nomem, nostack, preserves_flags));
     }

@@ -49,7 +49,7 @@ pub(crate) struct CertifyArguments {
     #[arg(value_name = "BUNDLE|PLAN")]
     subject: PathBuf,
     /// Targets beside this machine, several joined by commas; `host` is this machine alone
-    /// [default: cortex-m4f,rv32imc,rv32imafc, as far as they can be run here]
+    /// [default: cortex-m4f,rv32imc,rv32imafc,aarch64, as far as they can be run here]
     #[arg(
         long,
         value_enum,

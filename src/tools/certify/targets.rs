@@ -12,8 +12,8 @@ use super::CertifyArguments;
 use super::report::{Hashed, NotRun, Report};
 use crate::firmware::{Bench, Board, Subject, Toolchain, measure, sources};
 
-/// Boards that are tried where none is named: with a floating-point unit and without, of both kinds of processor.
-const USUAL: [Board; 3] = [Board::CortexM4f, Board::Rv32imc, Board::Rv32imafc];
+/// Boards that are tried where none is named: with vectors, with a floating-point unit alone and without.
+const USUAL: [Board; 4] = [Board::CortexM4f, Board::Rv32imc, Board::Rv32imafc, Board::Aarch64];
 
 const HOST: &str = "this machine";
 
@@ -35,6 +35,7 @@ impl ValueEnum for Target {
                 Self::Board(Board::CortexM0),
                 Self::Board(Board::Rv32imc),
                 Self::Board(Board::Rv32imafc),
+                Self::Board(Board::Aarch64),
             ]
         }
     }

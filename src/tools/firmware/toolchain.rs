@@ -48,7 +48,7 @@ impl Toolchain {
             let message = "`cargo`, which builds firmware, is not installed: see https://rustup.rs";
             return Err(Failure::new(Exit::NotRunning, message));
         }
-        let emulator = machine.emulator.first().and_then(|name| in_path(name));
+        let emulator = machine.emulator.split(' ').next().and_then(in_path);
         let mut missing = Vec::new();
         let rustc = Path::new("rustc");
         let compiler = if has_target(rustc, machine.target) {
@@ -113,7 +113,7 @@ impl Toolchain {
     /// The emulator, which ends as the program does.
     pub(crate) fn emulator(&self, machine: &Machine, program: &Path) -> Command {
         let mut command = Command::new(&self.emulator);
-        command.args(machine.emulator.iter().skip(1));
+        command.args(machine.emulator.split(' ').skip(1));
         command.args(["-semihosting-config", "enable=on,target=native", "-kernel"]);
         command.arg(program);
         command
@@ -224,7 +224,7 @@ fn not_built(said: &str) -> Failure {
     Failure::new(Exit::NotRunning, message)
 }
 
-/// A microcontroller.
+/// A bare processor on a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Board {
     /// Cortex-M4 with a floating-point unit (mps2-an386)
@@ -245,6 +245,9 @@ pub(crate) enum Board {
     /// RISC-V of 32 bits with a floating-point unit (virt)
     #[value(name = "rv32imafc")]
     Rv32imafc,
+    /// Cortex-A53 without a system, with vectors (virt)
+    #[value(name = "aarch64")]
+    Aarch64,
 }
 
 /// What is built for a board, and what runs it.
@@ -254,7 +257,7 @@ pub(crate) struct Machine {
     /// The linker script in `boards/`.
     pub(crate) script: &'static str,
     /// The emulator, with the arguments that make it this board. Each instruction takes the same time.
-    pub(crate) emulator: &'static [&'static str],
+    pub(crate) emulator: &'static str,
     /// The package that brings the emulator.
     pub(crate) package: &'static str,
     /// Whether it has the DSP extension, for which weights of int8 are laid out.
@@ -278,30 +281,35 @@ impl Board {
         let riscv = |target| Machine {
             target,
             script: "virt.ld",
-            emulator: &["qemu-system-riscv32", "-M", "virt", "-bios", "none", "-icount", "shift=0"],
+            emulator: "qemu-system-riscv32 -M virt -bios none -icount shift=0",
             package: "qemu-system-misc",
             has_dsp: false,
         };
         // Of eight nanoseconds each, 24 bits of the timer are enough for 80 million instructions.
         match self {
             Self::CortexM4f => {
-                let emulator = &["qemu-system-arm", "-M", "mps2-an386", "-icount", "shift=3"];
+                let emulator = "qemu-system-arm -M mps2-an386 -icount shift=3";
                 arm("thumbv7em-none-eabihf", "mps2.ld", emulator)
             }
             Self::CortexM7 => {
-                let emulator = &["qemu-system-arm", "-M", "mps2-an500", "-icount", "shift=3"];
+                let emulator = "qemu-system-arm -M mps2-an500 -icount shift=3";
                 arm("thumbv7em-none-eabihf", "mps2.ld", emulator)
             }
             Self::CortexM3 => {
-                let emulator = &["qemu-system-arm", "-M", "mps2-an385", "-icount", "shift=3"];
+                let emulator = "qemu-system-arm -M mps2-an385 -icount shift=3";
                 arm("thumbv7m-none-eabi", "mps2.ld", emulator)
             }
             Self::CortexM0 => {
-                let emulator = &["qemu-system-arm", "-M", "microbit", "-icount", "shift=3"];
+                let emulator = "qemu-system-arm -M microbit -icount shift=3";
                 arm("thumbv6m-none-eabi", "microbit.ld", emulator)
             }
             Self::Rv32imc => riscv("riscv32imc-unknown-none-elf"),
             Self::Rv32imafc => riscv("riscv32imafc-unknown-none-elf"),
+            Self::Aarch64 => {
+                let emulator =
+                    "qemu-system-aarch64 -M virt -cpu cortex-a53 -nic none -icount shift=0";
+                arm("aarch64-unknown-none", "virt64.ld", emulator)
+            }
         }
     }
 }
