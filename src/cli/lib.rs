@@ -55,7 +55,7 @@ mod views;
 pub mod worlds;
 pub mod zenoh;
 
-pub use views::cast;
+pub use views::{PAGE_PROGRAM, cast};
 
 use std::process::ExitCode;
 

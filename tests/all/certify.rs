@@ -86,6 +86,22 @@ fn another_hash_than_in_the_table_fails_and_can_be_written() {
 }
 
 #[test]
+fn the_program_of_pages_decides_alike() {
+    let on_wasm = |subject: &str| {
+        let found = json(&["certify", subject, "--on", "wasm", "--json", "--quiet"]);
+        let targets = found["targets"].as_array().expect("a list");
+        let target = targets.iter().find(|it| it["target"] == "wasm").expect("its hash").clone();
+        (found["hash"].clone(), target["hash"].clone())
+    };
+    for subject in ["models/group-matching", "models/rover-tower-8"] {
+        let (here, there) = on_wasm(subject);
+        assert_eq!(here, there, "{subject}");
+    }
+    let options = output(&["certify", "models/crafting-iron", "--on", "wasm"]);
+    assert_fails(&options, 2, &["wasm", "run no options"]);
+}
+
+#[test]
 fn a_board_that_cannot_be_run_is_named_and_fails_where_it_is_asked_for() {
     let empty = tempfile::tempdir().expect("a temporary folder");
     let asked = |more: &[&str]| {
@@ -98,7 +114,9 @@ fn a_board_that_cannot_be_run_is_named_and_fails_where_it_is_asked_for() {
     for board in ["cortex-m4f", "rv32imc", "rv32imafc", "aarch64"] {
         assert!(said.contains(&format!("Not run: {board}: `cargo`")), "{said}");
     }
+    assert!(said.contains("Not run: wasm: `node` cannot be started"), "{said}");
     assert_fails(&asked(&["--on", "cortex-m0"]), 69, &["cortex-m0", "cargo"]);
+    assert_fails(&asked(&["--on", "wasm"]), 69, &["wasm", "node"]);
 }
 
 #[test]

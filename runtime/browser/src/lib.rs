@@ -38,7 +38,7 @@ pub struct Program {
     text: String,
 }
 
-/// Room for so many bytes, which [`open`] takes over.
+/// Room for so many bytes, which [`open`] or [`certify`] takes over.
 #[unsafe(no_mangle)]
 pub extern "C" fn room(bytes: usize) -> *mut u8 {
     Box::leak(vec![0; bytes].into_boxed_slice()).as_mut_ptr()
@@ -55,14 +55,33 @@ pub unsafe extern "C" fn open(
     seed: u64,
     episode: u32,
 ) -> *mut Program {
-    // SAFETY: of a `room`, as the caller promises: it was leaked as a boxed slice of this length, and nobody else has it.
-    let bytes = unsafe { Box::from_raw(core::ptr::slice_from_raw_parts_mut(bytes, length)) };
-    let program = Cast::from_bytes(&bytes).ok().and_then(|cast| {
+    // SAFETY: as the caller promises.
+    let program = unsafe { cast(bytes, length) }.and_then(|cast| {
         let memory = Box::leak(Box::new(memory(&cast).ok()?));
         let player = Player::new(memory, &cast, seed, episode as usize).ok()?;
         Some(Program { cast, player, text: String::new() })
     });
     program.map_or(core::ptr::null_mut(), |program| Box::into_raw(Box::new(program)))
+}
+
+/// The hash of the utilities of a team's golden observations, without a world; 0 where the bytes are none, or a plan refuses them.
+///
+/// # Safety
+/// As of [`open`].
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn certify(bytes: *mut u8, length: usize) -> u64 {
+    // SAFETY: as the caller promises.
+    unsafe { cast(bytes, length) }.and_then(|cast| golden_hash(&cast).ok()).unwrap_or(0)
+}
+
+/// A team of a page's bytes.
+///
+/// # Safety
+/// As of [`open`].
+unsafe fn cast(bytes: *mut u8, length: usize) -> Option<Cast> {
+    // SAFETY: of a `room`, as the caller promises: it was leaked as a boxed slice of this length, and nobody else has it.
+    let bytes = unsafe { Box::from_raw(core::ptr::slice_from_raw_parts_mut(bytes, length)) };
+    Cast::from_bytes(&bytes).ok()
 }
 
 /// Where the text of the last call lies.

@@ -18,7 +18,7 @@ use crate::failure::{Exit, Failure};
 use crate::tools::plans;
 
 /// The program that pages run, packed; `.ci/browser` builds it.
-const PROGRAM: &[u8] = include_bytes!("../../../runtime/browser/page.wasm.gz");
+pub const PAGE_PROGRAM: &[u8] = include_bytes!("../../../runtime/browser/page.wasm.gz");
 
 /// Decisions that page and host compare.
 const DECISIONS: u64 = 10_000;
@@ -83,7 +83,7 @@ pub(crate) fn live(
         number: wanted.episode,
         hashes: &hashes,
         notes,
-        program: STANDARD.encode(program.unwrap_or(PROGRAM)),
+        program: STANDARD.encode(program.unwrap_or(PAGE_PROGRAM)),
         cast: STANDARD.encode(compress_to_vec_zlib(&bytes, PACKING)),
     };
     Ok(Live { html: live_page(&data), hashes })

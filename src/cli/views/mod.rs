@@ -30,7 +30,7 @@ use crate::replay;
 use crate::subject::{self, Subject};
 use probes::{thinking_aloud, values_of};
 
-pub use live::cast;
+pub use live::{PAGE_PROGRAM, cast};
 
 /// Which episode is wanted as a page.
 #[derive(Debug)]

@@ -2,6 +2,7 @@
 
 mod report;
 mod targets;
+mod wasm;
 
 use std::path::{Path, PathBuf};
 
@@ -29,7 +30,7 @@ const TRUTHS: usize = 256;
 /// Hold all decisions of a bundle, or of a plan, to one hash: on this machine and on emulated microcontrollers
 ///
 /// Decides on all golden observations of a bundle (a plan without one: on 256 random cases) by every build of the kernels that this
-/// processor runs, and on boards as `sortie firmware` does, and compares a hash of all bits that come out. Exit code 1 where one
+/// processor runs, in the program of pages, and on boards as `sortie firmware` does, and compares a hash of all bits that come out. Exit code 1 where one
 /// differs. Beside it stands how far the plan, tract and onnxruntime are from the network in double precision. What cannot be run
 /// here is named, and is a failure only where --on asks for it.
 ///
@@ -49,7 +50,7 @@ pub(crate) struct CertifyArguments {
     #[arg(value_name = "BUNDLE|PLAN")]
     subject: PathBuf,
     /// Targets beside this machine, several joined by commas; `host` is this machine alone
-    /// [default: cortex-m4f,rv32imc,rv32imafc,aarch64, as far as they can be run here]
+    /// [default: wasm,cortex-m4f,rv32imc,rv32imafc,aarch64, as far as they can be run here]
     #[arg(
         long,
         value_enum,
@@ -192,6 +193,7 @@ fn report_of(
     let (host, not_run) = targets.host(parts)?;
     let mut report = Report::new(name, profile, host);
     report.not_run = not_run;
+    targets.wasm(parts, &mut report)?;
     targets.boards(parts, &mut report)?;
     Ok(report)
 }

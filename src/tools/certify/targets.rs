@@ -4,24 +4,28 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
-use sortie_cli::failure::{Exit, Failure};
+use sortie_cli::failure::{Exit, Failure, Outcome};
 use sortie_core::internal::kernels::build::Build;
 use sortie_stage::UtilityHash;
 
 use super::CertifyArguments;
 use super::report::{Hashed, NotRun, Report};
+use super::wasm;
 use crate::firmware::{Bench, Board, Subject, Toolchain, measure, sources};
 
 /// Boards that are tried where none is named: with vectors, with a floating-point unit alone and without.
 const USUAL: [Board; 4] = [Board::CortexM4f, Board::Rv32imc, Board::Rv32imafc, Board::Aarch64];
 
 const HOST: &str = "this machine";
+const WASM: &str = "wasm";
 
 /// What `--on` names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Target {
     Host,
     Board(Board),
+    /// The program of pages, by the engine that Chromium has.
+    Wasm,
 }
 
 impl ValueEnum for Target {
@@ -36,6 +40,7 @@ impl ValueEnum for Target {
                 Self::Board(Board::Rv32imc),
                 Self::Board(Board::Rv32imafc),
                 Self::Board(Board::Aarch64),
+                Self::Wasm,
             ]
         }
     }
@@ -44,6 +49,7 @@ impl ValueEnum for Target {
         match self {
             Self::Host => Some(PossibleValue::new("host").help("This machine alone")),
             Self::Board(board) => board.to_possible_value(),
+            Self::Wasm => Some(PossibleValue::new(WASM).help("The program of pages, in Node.js")),
         }
     }
 }
@@ -52,6 +58,8 @@ impl ValueEnum for Target {
 pub(super) struct Targets<'a> {
     arguments: &'a CertifyArguments,
     boards: Vec<Board>,
+    /// Whether the program of pages is tried.
+    wasm: bool,
     /// Whether a board that cannot be run fails the command.
     asked: bool,
 }
@@ -59,12 +67,13 @@ pub(super) struct Targets<'a> {
 impl<'a> Targets<'a> {
     pub(super) fn new(arguments: &'a CertifyArguments) -> Self {
         let board = |target: &Target| match target {
-            Target::Host => None,
+            Target::Host | Target::Wasm => None,
             Target::Board(board) => Some(*board),
         };
         let asked = !arguments.on.is_empty();
         let named = arguments.on.iter().filter_map(board).collect();
-        Self { arguments, boards: if asked { named } else { USUAL.to_vec() }, asked }
+        let wasm = !asked || arguments.on.contains(&Target::Wasm);
+        Self { arguments, boards: if asked { named } else { USUAL.to_vec() }, wasm, asked }
     }
 
     /// This machine, by the kernels that it decides by first, then by the others that it can run.
@@ -95,6 +104,26 @@ impl<'a> Targets<'a> {
             }
         }
         Ok((found, not_run))
+    }
+
+    /// The program of pages, or why it cannot be run here.
+    pub(super) fn wasm(&self, parts: &[Subject], report: &mut Report) -> Outcome {
+        if !self.wasm {
+            return Ok(());
+        }
+        match wasm::hashes(parts) {
+            Ok((by, hashes)) => {
+                let decisions = parts.iter().map(|part| part.decisions as u64).sum();
+                let (target, hash) = (WASM.to_owned(), joined(hashes));
+                report.targets.push(Hashed { target, by, decisions, hash, equal: true });
+            }
+            Err(Failure { exit: exit @ (Exit::NotRunning | Exit::Usage), message, .. }) => {
+                let exit = self.asked.then_some(exit);
+                report.not_run.push(NotRun { target: WASM.to_owned(), missing: message, exit });
+            }
+            Err(failure) => return Err(failure.within(WASM)),
+        }
+        Ok(())
     }
 
     /// Every board, or why it cannot be run here.
@@ -175,7 +204,8 @@ mod tests {
     #[test]
     fn every_board_can_be_named() {
         let boards = Board::value_variants().iter().map(|board| Target::Board(*board));
-        let all: Vec<Target> = [Target::Host].into_iter().chain(boards).collect();
+        let all = [Target::Host].into_iter().chain(boards).chain([Target::Wasm]);
+        let all: Vec<Target> = all.collect();
         assert_eq!(Target::value_variants(), all);
     }
 

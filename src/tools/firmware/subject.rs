@@ -14,14 +14,15 @@ use sortie_plans::{
     AgentPlans, Annex, CompileError, random_observations, random_policy_inputs, random_states,
     read_plan_or_onnx,
 };
-use sortie_stage::{UtilityHash, hash_of};
+use sortie_stage::{Cast, GoldenObservation, UtilityHash, hash_of};
 
 use super::numbers::{Cases, rules, words};
 
 /// Random cases of a plan: nobody recorded any.
 const RANDOM_CASES: usize = 256;
 
-/// The programs for policies over inputs of fixed sizes, and for agents that run options.
+/// The programs for agents that see entities, for policies over inputs of fixed sizes, and for agents that run options.
+const AGENT: &str = "sortie-firmware";
 const POLICY: &str = "sortie-policy";
 const OPTIONS: &str = "sortie-options";
 
@@ -236,7 +237,7 @@ impl Subject {
         Ok(Self {
             name,
             profile,
-            program: "sortie-firmware",
+            program: AGENT,
             files: vec![("SORTIE_PLAN", plan.as_slice().to_vec())],
             read: Vec::new(),
             decisions: cases.observations().count(),
@@ -346,6 +347,28 @@ impl Subject {
         let mut policy =
             PlanPolicy::new(loaded, arena.as_mut_slice()).map_err(CompileError::from)?;
         hash_of(&mut policy, cases.observations()).map(Some).map_err(cannot_decide)
+    }
+
+    /// As a page's program takes it; none of a policy over inputs and of an agent that runs options, which need more than single
+    /// observations.
+    pub(crate) fn cast(&self) -> Result<Option<Cast>, Failure> {
+        let Some(plan) = self.plan().filter(|_| self.program == AGENT) else { return Ok(None) };
+        let seen = Recording::from_bytes(&self.cases)
+            .map_err(|error| Failure::new(Exit::BadData, error.to_string()))?;
+        let golden = |seen: Observation<'_>| GoldenObservation::new(&seen, seen.stride);
+        Ok(Some(Cast {
+            environment: String::new(),
+            set: String::new(),
+            contract: 0,
+            decision_interval: 1,
+            safe_action: None,
+            plans: vec![plan.to_vec()],
+            plan_of: Vec::new(),
+            options: None,
+            allocator: None,
+            attention: None,
+            golden: seen.observations().map(golden).collect(),
+        }))
     }
 
     /// Whether the program that reads its plan takes this one.
