@@ -95,14 +95,18 @@ impl LearnedAllocator {
     /// The plan of the bundle's team-value network, which has given its golden answers, or its graph.
     pub fn open(bundle: &Bundle, backend: Backend) -> Result<Self, Failure> {
         match backend {
-            Backend::Plan => Self::of_plan(bundle, &plans()),
+            Backend::Plan => Self::of_plan(bundle, &plans(), Profile::Exact),
             Backend::Tract => Self::of_graph(bundle, engines()?.tract()),
         }
     }
 
-    /// The plan that `plans` gives.
-    pub fn of_plan(bundle: &Bundle, plans: &BundlePlans<CompilerProcess>) -> Result<Self, Failure> {
-        Self::with(bundle, |_| NetworkMemory::of_plan(bundle, plans))
+    /// The plan of this profile that `plans` gives.
+    pub fn of_plan(
+        bundle: &Bundle,
+        plans: &BundlePlans<CompilerProcess>,
+        profile: Profile,
+    ) -> Result<Self, Failure> {
+        Self::with(bundle, |_| NetworkMemory::of_plan(bundle, plans, profile))
     }
 
     /// The graph in an engine, once another process has read and run it.
@@ -164,8 +168,9 @@ impl NetworkMemory {
     fn of_plan(
         bundle: &Bundle,
         plans: &BundlePlans<CompilerProcess>,
+        profile: Profile,
     ) -> Result<Self, CompileError> {
-        let plan = plans.allocator(bundle)?.ok_or(PlanError::WrongNetwork)?;
+        let plan = plans.allocator(bundle, profile)?.ok_or(PlanError::WrongNetwork)?;
         let entities = usize::from(bundle.manifest().limits.n_max);
         Ok(Self::Plan(TeamValuePlan::new(plan, entities)?))
     }

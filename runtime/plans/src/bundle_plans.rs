@@ -114,8 +114,12 @@ impl<C: Compiler> BundlePlans<C> {
     ///
     /// # Errors
     /// As [`Self::agents`], with golden allocations.
-    pub fn allocator(&self, bundle: &Bundle) -> Result<Option<AlignedBytes>, CompileError> {
-        Wanted::allocator(bundle).map(|wanted| self.find(&wanted)).transpose()
+    pub fn allocator(
+        &self,
+        bundle: &Bundle,
+        profile: Profile,
+    ) -> Result<Option<AlignedBytes>, CompileError> {
+        Wanted::allocator(bundle, profile).map(|wanted| self.find(&wanted)).transpose()
     }
 
     /// The plan of a bundle's proposing allocator, if it has one. Bundles record no allocations of such an allocator.
@@ -161,8 +165,8 @@ impl<C: Compiler> BundlePlans<C> {
             Ok((wanted.part, plan.as_slice().to_vec()))
         };
         let pointing = Wanted::pointing(bundle).into_iter().flatten();
-        let allocators = Wanted::allocator(bundle).into_iter().chain(proposals).chain(pointing);
-        agents.into_iter().chain(allocators).map(ship).collect()
+        let values = Wanted::allocator(bundle, Profile::Exact).into_iter();
+        agents.into_iter().chain(values).chain(proposals).chain(pointing).map(ship).collect()
     }
 
     /// Compiles the one network that all agents of a bundle decide by. Of profile int8 it is rounded for `examples`. The
@@ -285,9 +289,8 @@ impl<'a> Wanted<'a> {
         Ok(bundle.agent_graphs().into_iter().zip(0..).map(wanted).collect())
     }
 
-    fn allocator(bundle: &'a Bundle) -> Option<Self> {
-        let (part, network, profile) =
-            (ALLOCATOR_PLAN.to_owned(), Network::TeamValue, Profile::Exact);
+    fn allocator(bundle: &'a Bundle, profile: Profile) -> Option<Self> {
+        let (part, network) = (ALLOCATOR_PLAN.to_owned(), Network::TeamValue);
         // Several teams are valued together, and every agent is a member of some and a stranger to others: two rows.
         let n_max = (2 * usize::from(bundle.manifest().limits.n_max)).min(limits::ENTITIES);
         let onnx = bundle.allocator_onnx()?;

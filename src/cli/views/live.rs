@@ -132,7 +132,7 @@ fn allocator(bundle: &Bundle) -> Result<Option<AllocatorCast>, Failure> {
         exclusive: memory.rules().exclusive,
         first_action: memory.rules().first_action,
     });
-    let values = plans().allocator(bundle)?.map(|plan| AllocatorCast::TeamValue {
+    let values = plans().allocator(bundle, Profile::Exact)?.map(|plan| AllocatorCast::TeamValue {
         plan: plan.as_slice().to_vec(),
         entities: limits.n_max,
         tasks: limits.t_max,

@@ -11,16 +11,18 @@ use sortie_cli::environment::{ScenarioSetName, entry_of};
 use sortie_cli::failure::{Exit, Failure, Outcome};
 use sortie_cli::files::write_output;
 use sortie_cli::policy::{Backend, DeployedPolicy};
-use sortie_cli::tools::OnnxRuntimeArguments;
+use sortie_cli::output::tell;
+use sortie_cli::tools::{OnnxRuntimeArguments, plans};
 use sortie_cli::worlds::{FrameRelation, relation};
 use sortie_core::allocate::{TaskRelation, TeamQuery, Teams, exact};
+use sortie_core::plan::{PlanError, Profile};
 use sortie_core::{AllocateError, AllocationState, Allocator};
-use sortie_plans::{BatchedValues, OnnxRuntimeEngine};
+use sortie_plans::{BatchedValues, CompileError, OnnxRuntimeEngine};
 
 use super::pointing::{self, Playing};
 use super::rounds::{alternate_long, engine, our_engine};
 use super::scenes::{self, some};
-use super::{Figures, Measuring, OURS, TRACT_VERSION, pin};
+use super::{FUSED, Figures, Measuring, OURS, TRACT_VERSION, pin};
 
 /// Agents and open subtasks of the states that are measured.
 const SIZE: (usize, usize) = (5, 6);
@@ -99,25 +101,31 @@ fn measure_team_values(
     let name = bundle.folder().display().to_string();
     let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name))?;
     let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
-    let mut ours = LearnedAllocator::open(bundle, Backend::Plan)?;
+    let mut ours = ours_of(bundle)?;
     let mut tract = LearnedAllocator::open(bundle, Backend::Tract)?;
     let mut single =
         runtime.map(|runtime| LearnedAllocator::of_graph(bundle, runtime)).transpose()?;
     let mut batched = runtime.map(|runtime| Batched::new(bundle, runtime, onnx)).transpose()?;
-    let states = states(bundle, &mut ours, arguments.measuring.common.seed)?;
+    let [(_, first), ..] = ours.as_mut_slice() else { unreachable!() };
+    let states = states(bundle, first, arguments.measuring.common.seed)?;
     let mut proposing = arguments.proposing()?;
     let mut proposing = proposing.as_mut().map(ProposalMemory::allocator).transpose()?;
-    let mut ours = ours.allocator()?;
+    let ours = ours.iter_mut().map(|(name, ours)| Ok((*name, ours.allocator()?)));
+    let mut ours = ours.collect::<Result<Vec<_>, Failure>>()?;
     let mut tract = tract.allocator()?;
     let mut single = single.as_mut().map(LearnedAllocator::allocator).transpose()?;
-    check(&states, &mut ours, single.as_mut().map(|a| a as &mut dyn Allocator), &mut batched)?;
+    for (_, ours) in &mut ours {
+        let single = single.as_mut().map(|single| single as &mut dyn Allocator);
+        check(&states, ours, single, &mut batched)?;
+    }
     pin(arguments.measuring.pin)?;
     let state = |call: usize| states[call % states.len()].view();
     let version = runtime.map_or(String::new(), |runtime| runtime.version().to_owned());
-    let mut engines = vec![
-        our_engine(OURS, |call| decide(&state(call), &mut ours)),
-        engine("tract", TRACT_VERSION, |call| decide(&state(call), &mut tract)),
-    ];
+    let mut engines = Vec::new();
+    for (name, ours) in &mut ours {
+        engines.push(our_engine(name, |call| decide(&state(call), ours)));
+    }
+    engines.push(engine("tract", TRACT_VERSION, |call| decide(&state(call), &mut tract)));
     if let Some(single) = &mut single {
         let work = |call| decide(&state(call), single);
         engines.push(engine("onnxruntime, a call a team", &version, work));
@@ -137,6 +145,19 @@ fn measure_team_values(
     let case = format!("{agents} agents, {tasks} subtasks");
     figures.add("allocation", &case, &engines, &measured);
     Ok(())
+}
+
+/// The bundle's allocator in every profile that this machine has and that such plans know, `exact` first.
+fn ours_of(bundle: &Bundle) -> Result<Vec<(&'static str, LearnedAllocator)>, Failure> {
+    let mut ours = vec![(OURS, LearnedAllocator::open(bundle, Backend::Plan)?)];
+    if let Err(CompileError::Plan(PlanError::WrongProfile { .. })) =
+        plans().allocator(bundle, Profile::Fused)
+    {
+        tell!("note: this machine cannot run `{FUSED}`");
+    } else {
+        ours.push((FUSED, LearnedAllocator::of_plan(bundle, &plans(), Profile::Fused)?));
+    }
+    Ok(ours)
 }
 
 fn decide(state: &AllocationState<'_>, allocator: &mut dyn Allocator) {

@@ -30,6 +30,8 @@ use rounds::{Engine, Measured, paired_ratio};
 
 /// Our engine in tables: a compiled plan of the exact profile.
 const OURS: &str = "sortie exact";
+/// The same of the profile that adds products up fused.
+const FUSED: &str = "sortie fused";
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 const TRACT_VERSION: &str = "0.23.9";
 /// What only reads the weights.

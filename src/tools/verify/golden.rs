@@ -29,7 +29,7 @@ pub(super) fn judged(
     let mut policies = policies(bundle, profile, &graphs).map_err(&failed)?;
     let mut allocators = Vec::new();
     if bundle.allocator_onnx().is_some() {
-        allocators.push(("plan", LearnedAllocator::of_plan(bundle, &unproved())?));
+        allocators.push(("plan", LearnedAllocator::of_plan(bundle, &unproved(), Profile::Exact)?));
     }
     for engine in graphs {
         if bundle.allocator_onnx().is_some() {

@@ -56,7 +56,7 @@ pub(super) fn allocators(
     let n_max = bundle.manifest().limits.n_max.into();
     let (failed, whose) = (within(bundle.folder()), "allocator ");
     let mut compared = Vec::new();
-    let values = unproved().allocator(bundle).map_err(&failed)?;
+    let values = unproved().allocator(bundle, Profile::Exact).map_err(&failed)?;
     if let (Some(onnx), Some(plan)) = (bundle.allocator_onnx(), values) {
         let files = NetworkFiles::One(onnx);
         compared.extend(judged(arguments, Judged { whose, files, plan, n_max }, judges)?);
