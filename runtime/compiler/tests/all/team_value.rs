@@ -2,7 +2,7 @@
 
 use sortie_compiler::{GraphPolicy, GraphTeamValue, compile};
 use sortie_core::allocate::{PlanTeamValue, TeamValueNetwork};
-use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError};
+use sortie_core::plan::{AlignedBytes, Network, Plan, PlanError, Profile};
 use sortie_core::{AllocateError, PlanPolicy};
 use sortie_plans::{
     CompileError, CompileOptions, OwnedTeamQuery, inspect_plan, random_team_queries,
@@ -16,7 +16,11 @@ fn golden(name: &str) -> Vec<u8> {
 }
 
 fn plan() -> AlignedBytes {
-    let options = CompileOptions { n_max: 9, ..CompileOptions::default() };
+    plan_of(Profile::Exact)
+}
+
+fn plan_of(profile: Profile) -> AlignedBytes {
+    let options = CompileOptions { n_max: 9, profile, ..CompileOptions::default() };
     AlignedBytes::copy_of(&compile(&golden("team_value_small"), &options).unwrap().bytes)
 }
 
@@ -49,9 +53,11 @@ fn the_plan_agrees_with_the_graph() {
     let facts = inspect_plan(plan.as_slice()).unwrap();
     assert_eq!((facts.network, facts.features, facts.actions), (Network::TeamValue, 11, 1));
     assert_eq!(facts.contract, "0123456789abcdef");
-    let comparison = beside_truth(plan.as_slice(), &onnx, queries(150));
-    assert!(comparison.agrees() && comparison.max_rel_error < 1e-6, "{comparison:?}");
-    assert_eq!(comparison.inputs, 150);
+    for plan in [&plan, &plan_of(Profile::Fused)] {
+        let comparison = beside_truth(plan.as_slice(), &onnx, queries(150));
+        assert!(comparison.agrees() && comparison.max_rel_error < 1e-6, "{comparison:?}");
+        assert_eq!(comparison.inputs, 150);
+    }
     let mut tract = GraphTeamValue::by_tract(&onnx).unwrap();
     assert_eq!(tract.columns(), (6, 3));
     for query in queries(60) {
