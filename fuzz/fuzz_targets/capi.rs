@@ -41,10 +41,41 @@ fuzz_target!(|bytes: &[u8]| {
     for _ in 0..calls {
         call(policy, &mut input);
     }
+    guard(policy, &mut input);
     let guards = memory[..start].iter().chain(&memory[start + needed..]);
     assert!(guards.copied().all(|byte| byte == 0xA5), "left its memory");
     assert!(plan == before, "wrote to the plan");
 });
+
+/// The guards of a policy that may be null, in memory that may be too small, around numbers that may be anything.
+fn guard(policy: *mut SortiePolicy, input: &mut Input<'_>) {
+    // SAFETY: null or loaded.
+    let count = |one: unsafe extern "C" fn(*const SortiePolicy) -> usize| unsafe { one(policy) };
+    // SAFETY: null or loaded.
+    let of_input = |index| unsafe { sortie_input_length(policy, index) };
+    // SAFETY: null or loaded.
+    let of_output = |index| unsafe { sortie_output_length(policy, index) };
+    let inputs = (0..count(sortie_input_count)).map(of_input).sum();
+    let outputs = (0..count(sortie_output_count)).map(of_output).sum();
+    let (mut memory, mut guards) = (vec![0xA5_u8; input.up_to(512)], ptr::null_mut());
+    let room = memory.as_mut_ptr().cast();
+    // SAFETY: null or loaded; a slice that lasts as long as the guards, and a pointer to be written.
+    let placed = unsafe { sortie_guard(policy, room, memory.len(), &mut guards) };
+    assert_eq!(placed == SortieError::None, !guards.is_null());
+    let (seen, mut given) = (floats(input, inputs, true), floats(input, outputs, true));
+    let mut trip = SortieTrip { guard: 0, index: 0, clamped: false };
+    let age_ns = u64::from(input.byte()) << 30;
+    // SAFETY: null or placed; slices, and a trip to be written.
+    let checked = unsafe {
+        [
+            sortie_check_inputs(guards, seen.as_ptr(), seen.len(), age_ns, &mut trip),
+            sortie_check_outputs(guards, given.as_mut_ptr(), given.len(), &mut trip),
+            sortie_fall_back(guards, i32::from(input.byte()), given.as_mut_ptr(), given.len()),
+        ]
+    };
+    let is_known = |error| matches!(error, SortieError::None | SortieError::NoTrip);
+    assert!(guards.is_null() || checked.into_iter().all(is_known), "{checked:?}");
+}
 
 /// One call, of a policy that may be null.
 fn call(policy: *mut SortiePolicy, input: &mut Input<'_>) {

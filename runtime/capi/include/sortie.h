@@ -30,6 +30,9 @@
 #define SORTIE_MEMORY_BYTES(arena_bytes, inputs, outputs) \
     (SORTIE_POLICY_BYTES + (size_t)(arena_bytes) + 16 * ((size_t)(inputs) + (size_t)(outputs)))
 
+/* Bytes of memory that are enough for the guards of a plan with so many numbers in all outputs. */
+#define SORTIE_GUARDS_MEMORY(outputs) (SORTIE_GUARDS_BYTES + 4 * (size_t)(outputs))
+
 /* What sortie_version answers where header and library belong together. */
 #define SORTIE_VERSION (SORTIE_VERSION_MAJOR << 16 | SORTIE_VERSION_MINOR << 8 | SORTIE_VERSION_PATCH)
 
@@ -53,6 +56,12 @@
 
 // Stands for the last action of an agent that has not acted yet.
 #define SORTIE_NO_ACTION 65535
+
+// Bytes that guards take, wherever they start, beside a float for every number of all outputs: `SORTIE_GUARDS_MEMORY`.
+#define SORTIE_GUARDS_BYTES 256
+
+// The age of an observation that nobody knows.
+#define SORTIE_AGE_UNKNOWN UINT64_MAX
 
 // Why a function did nothing. `sortie_error_text` says what to do about it.
 enum SortieError
@@ -106,6 +115,10 @@ enum SortieError
     SORTIE_ERROR_GREEDY = 21,
     // Something that this version of the header has no name for.
     SORTIE_ERROR_OTHER = 22,
+    // The plan has no guards, or the pointer leads to none.
+    SORTIE_ERROR_NO_GUARDS = 23,
+    // No guard has tripped: there is nothing to fall back from.
+    SORTIE_ERROR_NO_TRIP = 24,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -184,6 +197,41 @@ typedef int32_t SortieFact;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
+// The guard that tripped. Numbers are those of Sortie's messages.
+enum SortieGuard
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    // None did.
+    SORTIE_GUARD_NONE = 0,
+    // An input is outside of its range, or NaN.
+    SORTIE_GUARD_INPUT_RANGE = 1,
+    // The observation is older than it may be.
+    SORTIE_GUARD_AGE = 2,
+    // An output is NaN or infinite.
+    SORTIE_GUARD_OUTPUT_NOT_FINITE = 3,
+    // An output is outside of its range.
+    SORTIE_GUARD_OUTPUT_RANGE = 4,
+    // An output is further from the last one given out than it may change by.
+    SORTIE_GUARD_OUTPUT_RATE = 5,
+    // The policy has not answered: for programs to say, to `sortie_fall_back`.
+    SORTIE_GUARD_UNDECIDED = 7,
+    // None now: one that tripped before is held.
+    SORTIE_GUARD_HELD = 8,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum SortieGuard SortieGuard;
+#else
+typedef int32_t SortieGuard;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+// The guards of a plan, and what they remember of one robot. They live in the memory that was given to `sortie_guard`, and
+// end with it. One thread at a time uses them.
+typedef struct SortieGuards SortieGuards;
+
 // A loaded policy. It lives in the memory that was given to `sortie_load`, and ends with it: there is nothing to be freed.
 // One thread at a time uses it; several policies may share one plan.
 typedef struct SortiePolicy SortiePolicy;
@@ -233,6 +281,16 @@ typedef struct {
     // Number of actions.
     size_t actions;
 } SortieObservation;
+
+// What a guard found.
+typedef struct {
+    // Which guard, a `SortieGuard`; `SORTIE_GUARD_NONE` where all is well.
+    int32_t guard;
+    // At which number of all inputs, or of all outputs, one behind the other.
+    uint32_t index;
+    // Whether outputs were brought back to their limits, and can be given out.
+    bool clamped;
+} SortieTrip;
 
 #ifdef __cplusplus
 extern "C" {
@@ -358,6 +416,41 @@ SortieError sortie_sample(SortiePolicy *policy,
                           size_t state_numbers,
                           uint32_t random,
                           SortieDecision *decision);
+
+// Lays the guards that stand in a policy's plan (`sortie compile --guards`) into memory, which may start anywhere and stays
+// as long as they are used: `SORTIE_GUARDS_MEMORY` says how much. One for each robot. `*guards` is NULL where that fails.
+SortieError sortie_guard(const SortiePolicy *policy,
+                         void *memory,
+                         size_t memory_bytes,
+                         SortieGuards **guards);
+
+// Forgets what was given out, and what is held: where an episode begins, or a robot has stood still.
+SortieError sortie_guard_begin(SortieGuards *guards);
+
+// Before the policy: whether it may be asked. `inputs` are the numbers of all inputs, one behind the other; `age_ns` is
+// the time since they were measured, or `SORTIE_AGE_UNKNOWN`. Where `trip->guard` says that a guard tripped, the policy is
+// not asked, and `sortie_fall_back` says what is given out.
+SortieError sortie_check_inputs(SortieGuards *guards,
+                                const float *inputs,
+                                size_t length,
+                                uint64_t age_ns,
+                                SortieTrip *trip);
+
+// Behind the policy: whether its outputs may be given out, the numbers of all of them, one behind the other. Where
+// `trip->guard` says that a guard tripped, and `trip->clamped` not that they were brought back to their limits,
+// `sortie_fall_back` says what is given out instead. What passes is remembered as given out.
+SortieError sortie_check_outputs(SortieGuards *guards,
+                                 float *outputs,
+                                 size_t length,
+                                 SortieTrip *trip);
+
+// Writes what is given out where `guard` tripped, a `SortieGuard`, or where `sortie_respond` failed
+// (`SORTIE_GUARD_UNDECIDED`): the plan's fallback, or the last outputs where it has none. Remembers it as given out, and
+// holds it as long as the plan says.
+SortieError sortie_fall_back(SortieGuards *guards,
+                             int32_t guard,
+                             float *outputs,
+                             size_t length);
 
 #ifdef __cplusplus
 }  // extern "C"

@@ -55,11 +55,15 @@ pub enum SortieError {
     Greedy = 21,
     /// Something that this version of the header has no name for.
     Other = 22,
+    /// The plan has no guards, or the pointer leads to none.
+    NoGuards = 23,
+    /// No guard has tripped: there is nothing to fall back from.
+    NoTrip = 24,
 }
 
 impl SortieError {
     /// Every error, at the place of its number.
-    const ALL: [Self; 23] = [
+    const ALL: [Self; 25] = [
         Self::None,
         Self::Null,
         Self::Misaligned,
@@ -83,6 +87,8 @@ impl SortieError {
         Self::NotFinite,
         Self::Greedy,
         Self::Other,
+        Self::NoGuards,
+        Self::NoTrip,
     ];
 
     /// The error of a number.
@@ -141,6 +147,12 @@ impl SortieError {
                 c"a number is not finite: look for NaN and infinities in inputs and states"
             }
             Self::Greedy => c"the policy chooses greedily: use sortie_choose or sortie_decide",
+            Self::NoGuards => {
+                c"there are no guards: compile the network with `--guards`, give the pointer that sortie_guard wrote, and do not move or overwrite its memory"
+            }
+            Self::NoTrip => {
+                c"no guard has tripped: fall back only where the trip names one, or say SORTIE_GUARD_UNDECIDED"
+            }
             Self::Other => c"something is wrong that this version has no name for: build a newer library",
         }
     }

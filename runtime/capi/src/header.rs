@@ -5,14 +5,16 @@ use std::vec::Vec;
 use std::{env, fs};
 
 /// The sources in the order in which the header has what they say.
-const SOURCES: [&str; 7] = [
+const SOURCES: [&str; 9] = [
     "src/errors.rs",
     "src/policy.rs",
+    "src/guards.rs",
     "src/exports/version.rs",
     "src/exports/load.rs",
     "src/exports/sizes.rs",
     "src/exports/robot.rs",
     "src/exports/decide.rs",
+    "src/exports/guard.rs",
 ];
 
 #[test]

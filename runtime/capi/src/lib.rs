@@ -29,6 +29,8 @@ mod errors;
 #[allow(unsafe_code, reason = "functions that C calls")]
 #[allow(clippy::missing_safety_doc, reason = "the header says it once, for all")]
 mod exports;
+#[allow(unsafe_code, reason = "lays guards into the caller's memory")]
+mod guards;
 #[cfg(test)]
 mod header;
 mod operators;
@@ -40,8 +42,10 @@ mod policy;
 
 pub use errors::SortieError;
 pub use exports::decide::*;
+pub use exports::guard::*;
 pub use exports::load::*;
 pub use exports::robot::*;
 pub use exports::sizes::*;
 pub use exports::version::*;
+pub use guards::SortieGuards;
 pub use policy::SortiePolicy;

@@ -14,7 +14,8 @@ use crate::operators::Plan;
 pub struct SortiePolicy {
     mark: usize,
     memory: Span,
-    bytes: Span,
+    /// The plan's bytes.
+    pub(crate) bytes: &'static [u8],
     pub(crate) plan: Plan<'static>,
     /// What stands in the plan beside the network.
     pub(crate) robot: Option<Robot<'static>>,
@@ -77,10 +78,9 @@ impl SortiePolicy {
         memory: Array<u8>,
     ) -> Result<*mut Self, SortieError> {
         apart([memory.span()].into_iter(), [plan.span()].into_iter())?;
-        let bytes = plan.span();
         // SAFETY: as the caller promises.
-        let plan = unsafe { plan.read() };
-        let (plan, robot) = (load(plan)?, Robot::of_plan(plan));
+        let bytes = unsafe { plan.read() };
+        let (plan, robot) = (load(bytes)?, Robot::of_plan(bytes));
         let parts = Parts::of(&plan).ok_or(SortieError::MemoryTooSmall)?;
         let before = memory.start().addr().wrapping_neg() % ALIGNMENT;
         if memory.len() < parts.bytes.saturating_add(before) {
@@ -146,7 +146,8 @@ impl SortiePolicy {
         written: impl Iterator<Item = Span> + Clone,
         read: impl Iterator<Item = Span> + Clone,
     ) -> Result<(), SortieError> {
-        apart(written.chain([self.memory]), read.chain([self.bytes]))
+        let bytes = Array::new(self.bytes.as_ptr(), self.bytes.len());
+        apart(written.chain([self.memory]), read.chain([bytes.span()]))
     }
 
     /// The network is of the wanted kind.

@@ -15,6 +15,7 @@ int main(int count, char **arguments)
     recorded();
     bad_plans();
     bad_calls();
+    guards();
     puts("the C interface answers as recorded, and refuses what is wrong");
     return 0;
 }

@@ -39,5 +39,6 @@ extern const char *repository;
 void recorded(void);
 void bad_plans(void);
 void bad_calls(void);
+void guards(void);
 
 #endif
