@@ -9,11 +9,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
+use serde_json::Value;
+
 use crate::support::{
     BUNDLE, Ending as _, TestDomain, assert_fails, interrupt, json, output, resume, sortie, stop,
     wait_until,
 };
-use serde_json::Value;
 
 /// An address that nobody listens at.
 fn free_address() -> String {

@@ -39,7 +39,11 @@ pub(super) fn hashes(parts: &[Subject]) -> Result<(String, Vec<u64>), Failure> {
         let cast = part.cast()?.ok_or_else(|| Failure::new(Exit::Usage, message))?;
         write("cast.bin", &cast.to_bytes().map_err(Failure::bug)?)?;
         let told = printed(Command::new("node").args(["-e", SCRIPT]).current_dir(folder.path()))?;
-        told.parse().map_err(Failure::bug)
+        match told.parse().map_err(Failure::bug)? {
+            // What the program answers where it cannot decide.
+            0 => Err(Failure::new(Exit::BadData, "pages refuse this network")),
+            hash => Ok(hash),
+        }
     };
     let hashes = parts.iter().map(hash).collect::<Result<_, _>>()?;
     Ok((format!("Node.js {version}"), hashes))
