@@ -160,7 +160,7 @@ impl Bundle {
         let agents = agents.collect::<Result<Vec<_>, _>>()?;
         let allocator = match bundle.proposal_graphs() {
             Some(_) => plans.proposals(&bundle, Profile::Exact)?,
-            None => plans.allocator(&bundle)?,
+            None => plans.allocator(&bundle, Profile::Exact)?,
         };
         let allocator = allocator.map(OwnedPlan::load).transpose()?;
         let pointing = plans.pointing(&bundle)?.map(Mutex::new);
