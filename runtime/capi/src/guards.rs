@@ -6,7 +6,6 @@ use sortie_core::plan::{GuardError, GuardState, Guards};
 
 use crate::border::{Array, Span, apart};
 use crate::errors::SortieError;
-use crate::exports::sizes::{input_lengths, output_lengths};
 use crate::policy::SortiePolicy;
 
 /// The guards of a plan, and what they remember of one robot. They live in the memory that was given to `sortie_guard`, and
@@ -37,8 +36,7 @@ impl SortieGuards {
     ) -> Result<*mut Self, SortieError> {
         policy.check_apart([memory.span()].into_iter(), [].into_iter())?;
         let guards = Guards::of_plan(policy.bytes)?.ok_or(SortieError::NoGuards)?;
-        let (inputs, outputs) =
-            (input_lengths(&policy.plan).sum(), output_lengths(&policy.plan).sum::<usize>());
+        let (inputs, outputs) = (policy.plan.inputs().sum(), policy.plan.outputs().sum::<usize>());
         guards.check_fits(inputs, outputs)?;
         let before = memory.start().addr().wrapping_neg() % align_of::<Self>();
         let room = memory.len().checked_sub(before + size_of::<Self>());
