@@ -73,6 +73,24 @@ static void trips(SortiePolicy *policy)
     CHECK(decide(policy, guards, 0.5f, 0, &force).guard == SORTIE_GUARD_HELD);
 }
 
+static void clamps(SortiePolicy *policy)
+{
+    SortieGuards *guards = guards_of(policy);
+    SortieTrip trip;
+    float force = 3;
+    EXPECT(SORTIE_ERROR_NONE, sortie_check_outputs(guards, &force, 1, &trip));
+    CHECK(trip.guard == SORTIE_GUARD_OUTPUT_RANGE && trip.clamped && force == 1);
+    force = -1;
+    EXPECT(SORTIE_ERROR_NONE, sortie_check_outputs(guards, &force, 1, &trip));
+    CHECK(trip.guard == SORTIE_GUARD_OUTPUT_RATE && trip.clamped && force == 0.5f);
+    force = 0.25f;
+    EXPECT(SORTIE_ERROR_NONE, sortie_check_outputs(guards, &force, 1, &trip));
+    CHECK(trip.guard == SORTIE_GUARD_NONE && !trip.clamped && force == 0.25f);
+    force = NAN;
+    EXPECT(SORTIE_ERROR_NONE, sortie_check_outputs(guards, &force, 1, &trip));
+    CHECK(trip.guard == SORTIE_GUARD_OUTPUT_NOT_FINITE && !trip.clamped);
+}
+
 static void memory(SortiePolicy *policy, Plan plan)
 {
     unsigned char *bytes = room(SORTIE_GUARDS_MEMORY(1) + 16);
@@ -147,6 +165,7 @@ void guards(void)
     SortieGuards *none;
     unsigned char bytes[SORTIE_GUARDS_MEMORY(1)];
     trips(policy);
+    clamps(load(clamping(plan)));
     memory(policy, plan);
     wrong_calls(policy);
     EXPECT(SORTIE_ERROR_NO_GUARDS, sortie_guard(load(unguarded), bytes, sizeof bytes, &none));

@@ -78,6 +78,13 @@ static uint32_t crc32c(uint32_t crc, const unsigned char *bytes, size_t length)
     return crc;
 }
 
+static void store(unsigned char *bytes, uint32_t number)
+{
+    int byte;
+    for (byte = 0; byte < 4; byte++)
+        bytes[byte] = (unsigned char)(number >> 8 * byte);
+}
+
 Plan drawing(Plan plan)
 {
     const Plan drawn = copy_of(plan);
@@ -85,14 +92,27 @@ Plan drawing(Plan plan)
     /* The last operator: its number, the words of its fields, a place. */
     unsigned char *choice = drawn.bytes + start + length - 12;
     uint32_t crc;
-    int byte;
     CHECK(choice[0] == 3);
     choice[0] = 5;
     memset(drawn.bytes + 60, 0, 4);
     crc = ~crc32c(crc32c(~(uint32_t)0, drawn.bytes, 128), drawn.bytes + start, length);
-    for (byte = 0; byte < 4; byte++)
-        drawn.bytes[60 + byte] = (unsigned char)(crc >> 8 * byte);
+    store(drawn.bytes + 60, crc);
     return drawn;
+}
+
+Plan clamping(Plan plan)
+{
+    const Plan clamped = copy_of(plan);
+    unsigned char *guards = clamped.bytes + clamped.length - 16;
+    uint32_t crc;
+    /* Name, length, checksum, and what is guarded, whose third byte says whether outputs are clamped. */
+    while (memcmp(guards, "SORTIEGU", 8) != 0)
+        CHECK(--guards >= clamped.bytes);
+    CHECK(guards[18] == 0);
+    guards[18] = 1;
+    crc = ~crc32c(crc32c(~(uint32_t)0, guards, 12), guards + 16, word(guards + 8));
+    store(guards + 12, crc);
+    return clamped;
 }
 
 SortiePolicy *load(Plan plan)

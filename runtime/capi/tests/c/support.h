@@ -25,6 +25,8 @@ Plan read_plan(const char *file);
 Plan copy_of(Plan plan);
 /* The plan with its choice turned into a draw, and right checksums. */
 Plan drawing(Plan plan);
+/* The plan with guards that bring outputs back to their limits, and the right checksum. */
+Plan clamping(Plan plan);
 /* A policy in memory of its own. */
 SortiePolicy *load(Plan plan);
 const char *path_of(const char *file);
