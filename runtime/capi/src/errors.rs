@@ -3,7 +3,7 @@
 use core::ffi::CStr;
 
 use sortie_core::DecideError;
-use sortie_core::plan::PlanError;
+use sortie_core::plan::{GuardError, PlanError};
 
 /// Why a function did nothing. `sortie_error_text` says what to do about it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -173,6 +173,17 @@ impl From<PlanError> for SortieError {
             PlanError::WrongNetwork => Self::WrongNetwork,
             PlanError::ArenaTooSmall { .. } => Self::MemoryTooSmall,
             _ => Self::Other,
+        }
+    }
+}
+
+impl From<GuardError> for SortieError {
+    fn from(error: GuardError) -> Self {
+        match error {
+            GuardError::Plan(error) => error.into(),
+            GuardError::Damaged => Self::Damaged,
+            GuardError::Version { .. } => Self::Version,
+            _ => Self::Inconsistent,
         }
     }
 }

@@ -2,10 +2,11 @@
 
 use core::slice;
 
-use sortie_core::plan::{GuardError, GuardState, Guards};
+use sortie_core::plan::{GuardState, Guards};
 
 use crate::border::{Array, Span, apart};
 use crate::errors::SortieError;
+use crate::placed::Placed;
 use crate::policy::SortiePolicy;
 
 /// The guards of a plan, and what they remember of one robot. They live in the memory that was given to `sortie_guard`, and
@@ -13,15 +14,23 @@ use crate::policy::SortiePolicy;
 pub struct SortieGuards {
     mark: usize,
     memory: Span,
+    /// The plan, in which the limits are read.
+    plan: Span,
     pub(crate) guards: Guards<'static>,
     pub(crate) state: GuardState<&'static mut [f32]>,
     /// Numbers of all inputs.
     pub(crate) inputs: usize,
 }
 
-/// Tells guards from other memory, and from those that were moved.
-fn mark(guards: *const SortieGuards) -> usize {
-    u32::from_le_bytes(*b"GRDS") as usize ^ guards.addr()
+impl Placed for SortieGuards {
+    const NAME: [u8; 4] = *b"GRDS";
+    const ALIGNMENT: usize = align_of::<Self>();
+    const MISSING: SortieError = SortieError::NoGuards;
+
+    unsafe fn mark(at: *const Self) -> usize {
+        // SAFETY: as the caller promises.
+        unsafe { (&raw const (*at).mark).read() }
+    }
 }
 
 impl SortieGuards {
@@ -38,7 +47,7 @@ impl SortieGuards {
         let guards = Guards::of_plan(policy.bytes)?.ok_or(SortieError::NoGuards)?;
         let (inputs, outputs) = (policy.plan.inputs().sum(), policy.plan.outputs().sum::<usize>());
         guards.check_fits(inputs, outputs)?;
-        let before = memory.start().addr().wrapping_neg() % align_of::<Self>();
+        let before = memory.start().addr().wrapping_neg() % Self::ALIGNMENT;
         let room = memory.len().checked_sub(before + size_of::<Self>());
         if room.is_none_or(|room| room / size_of::<f32>() < outputs) {
             return Err(SortieError::MemoryTooSmall);
@@ -54,48 +63,19 @@ impl SortieGuards {
         let memory = Array::new(start.cast_const(), bytes).span();
         // SAFETY: inside the memory, aligned, and apart from the outputs that are remembered.
         unsafe {
-            at.write(Self { mark: mark(at), memory, guards, state: GuardState::new(last), inputs });
+            let (mark, plan, state) =
+                (Self::mark_at(at), policy.plan_span(), GuardState::new(last));
+            at.write(Self { mark, memory, plan, guards, state, inputs });
         }
         Ok(at)
     }
 
-    /// The guards that a pointer leads to.
-    ///
-    /// # Safety
-    /// Null, or so many bytes can be read there; nobody else uses the guards meanwhile.
-    pub(crate) unsafe fn at_mut<'a>(guards: *mut Self) -> Result<&'a mut Self, SortieError> {
-        if guards.is_null() {
-            return Err(SortieError::Null);
-        }
-        if !guards.is_aligned() {
-            return Err(SortieError::NoGuards);
-        }
-        // SAFETY: the address is aligned; the caller promises the bytes, and a number may have any bits.
-        let found = unsafe { (&raw const (*guards).mark).read() };
-        if found != mark(guards) {
-            return Err(SortieError::NoGuards);
-        }
-        // SAFETY: the mark says that `place` wrote guards at this address.
-        Ok(unsafe { &mut *guards })
-    }
-
-    /// What a call writes lies apart from what it reads, and from the guards.
+    /// What a call writes lies apart from what it reads, from the guards and from their plan.
     pub(crate) fn check_apart(
         &self,
         written: impl Iterator<Item = Span> + Clone,
         read: impl Iterator<Item = Span> + Clone,
     ) -> Result<(), SortieError> {
-        apart(written.chain([self.memory]), read)
-    }
-}
-
-impl From<GuardError> for SortieError {
-    fn from(error: GuardError) -> Self {
-        match error {
-            GuardError::Plan(error) => error.into(),
-            GuardError::Damaged => Self::Damaged,
-            GuardError::Version { .. } => Self::Version,
-            _ => Self::Inconsistent,
-        }
+        apart(written.chain([self.memory]), read.chain([self.plan]))
     }
 }

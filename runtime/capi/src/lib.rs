@@ -37,6 +37,8 @@ mod operators;
 #[cfg(not(any(test, feature = "std")))]
 #[allow(unsafe_code, reason = "calls a function that exists nowhere")]
 mod panicked;
+#[allow(unsafe_code, reason = "tells what lies in the caller's memory")]
+mod placed;
 #[allow(unsafe_code, reason = "cuts the caller's memory into parts")]
 mod policy;
 

@@ -8,6 +8,7 @@ use sortie_core::plan::{ALIGNMENT, Network, Robot};
 use crate::border::{Array, Span, apart};
 use crate::errors::SortieError;
 use crate::operators::Plan;
+use crate::placed::Placed;
 
 /// A loaded policy. It lives in the memory that was given to `sortie_load`, and ends with it: there is nothing to be freed.
 /// One thread at a time uses it; several policies may share one plan.
@@ -47,9 +48,15 @@ impl Parts {
     }
 }
 
-/// Tells a policy from other memory, and from one that was moved.
-fn mark(policy: *const SortiePolicy) -> usize {
-    u32::from_le_bytes(*b"PLCY") as usize ^ policy.addr()
+impl Placed for SortiePolicy {
+    const NAME: [u8; 4] = *b"PLCY";
+    const ALIGNMENT: usize = ALIGNMENT;
+    const MISSING: SortieError = SortieError::NoPolicy;
+
+    unsafe fn mark(at: *const Self) -> usize {
+        // SAFETY: as the caller promises.
+        unsafe { (&raw const (*at).mark).read() }
+    }
 }
 
 /// Checks a plan for being one that this library runs.
@@ -105,7 +112,7 @@ impl SortiePolicy {
         // SAFETY: the parts lie apart, aligned, and were written; they belong to the policy from now on.
         unsafe {
             policy.write(Self {
-                mark: mark(policy),
+                mark: Self::mark_at(policy),
                 memory: Array::new(start, parts.bytes).span(),
                 bytes,
                 arena: slice::from_raw_parts_mut(at(parts.arena), plan.arena_bytes()),
@@ -118,26 +125,9 @@ impl SortiePolicy {
         Ok(policy)
     }
 
-    /// The policy that a pointer leads to.
-    ///
-    /// # Safety
-    /// Null, or so many bytes can be read there, which nobody writes meanwhile.
-    pub(crate) unsafe fn at<'a>(policy: *const Self) -> Result<&'a Self, SortieError> {
-        // SAFETY: as the caller promises.
-        unsafe { check(policy) }?;
-        // SAFETY: the mark says that `place` wrote a policy at this address.
-        Ok(unsafe { &*policy })
-    }
-
-    /// As [`Self::at`], to work with.
-    ///
-    /// # Safety
-    /// As of [`Self::at`], and nobody else uses the policy meanwhile.
-    pub(crate) unsafe fn at_mut<'a>(policy: *mut Self) -> Result<&'a mut Self, SortieError> {
-        // SAFETY: as the caller promises.
-        unsafe { check(policy) }?;
-        // SAFETY: the mark says that `place` wrote a policy at this address.
-        Ok(unsafe { &mut *policy })
+    /// Where the plan lies.
+    pub(crate) fn plan_span(&self) -> Span {
+        Array::new(self.bytes.as_ptr(), self.bytes.len()).span()
     }
 
     /// What a call writes lies apart from what it reads, from the policy and from its plan.
@@ -146,26 +136,11 @@ impl SortiePolicy {
         written: impl Iterator<Item = Span> + Clone,
         read: impl Iterator<Item = Span> + Clone,
     ) -> Result<(), SortieError> {
-        let bytes = Array::new(self.bytes.as_ptr(), self.bytes.len());
-        apart(written.chain([self.memory]), read.chain([bytes.span()]))
+        apart(written.chain([self.memory]), read.chain([self.plan_span()]))
     }
 
     /// The network is of the wanted kind.
     pub(crate) fn check_network(&self, network: Network) -> Result<(), SortieError> {
         self.plan.check_network(network).map_err(|_| SortieError::WrongKind)
     }
-}
-
-/// # Safety
-/// Null, or so many bytes can be read there.
-unsafe fn check(policy: *const SortiePolicy) -> Result<(), SortieError> {
-    if policy.is_null() {
-        return Err(SortieError::Null);
-    }
-    if !policy.addr().is_multiple_of(ALIGNMENT) {
-        return Err(SortieError::NoPolicy);
-    }
-    // SAFETY: the address is aligned for a policy; the caller promises the bytes, and a number may have any bits.
-    let found = unsafe { (&raw const (*policy).mark).read() };
-    if found == mark(policy) { Ok(()) } else { Err(SortieError::NoPolicy) }
 }

@@ -7,6 +7,7 @@ use sortie_core::{DecideError, Decision, EntityMask, Observation};
 use super::sizes::{input_lengths, output_lengths};
 use crate::border::{Array, Span};
 use crate::errors::SortieError;
+use crate::placed::Placed;
 use crate::policy::SortiePolicy;
 
 /// Stands for the last action of an agent that has not acted yet.

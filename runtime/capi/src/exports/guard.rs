@@ -8,6 +8,7 @@ use sortie_core::plan::Trip;
 use crate::border::Array;
 use crate::errors::SortieError;
 use crate::guards::SortieGuards;
+use crate::placed::Placed;
 use crate::policy::SortiePolicy;
 
 /// Bytes that guards take, wherever they start, beside a float for every number of all outputs: `SORTIE_GUARDS_MEMORY`.

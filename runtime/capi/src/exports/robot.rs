@@ -5,6 +5,7 @@ use core::ptr;
 
 use sortie_core::plan::{Fact, Normaliser, Robot};
 
+use crate::placed::Placed;
 use crate::policy::SortiePolicy;
 
 /// A list that a plan has of its robot, from the metadata of the file that it was made from.

@@ -3,6 +3,7 @@
 use sortie_core::plan::Network;
 
 use crate::operators::Plan;
+use crate::placed::Placed;
 use crate::policy::SortiePolicy;
 
 /// What a plan is.

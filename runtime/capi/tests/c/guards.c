@@ -56,8 +56,7 @@ static void trips(SortiePolicy *policy)
     EXPECT(SORTIE_ERROR_NONE, sortie_guard_begin(guards));
     CHECK(decide(policy, guards, 0.5f, 0, &force).guard == SORTIE_GUARD_NONE && force == first);
 
-    /* What outputs trip, whoever made them. */
-    /* Towards 0, so that the range is kept. */
+    /* What outputs trip, whoever made them; the first goes towards 0, so that the range is kept. */
     force = first > 0 ? first - 0.6f : first + 0.6f;
     EXPECT(SORTIE_ERROR_NONE, sortie_check_outputs(guards, &force, 1, &trip));
     CHECK(trip.guard == SORTIE_GUARD_OUTPUT_RATE && !trip.clamped);
@@ -118,7 +117,7 @@ static void memory(SortiePolicy *policy, Plan plan)
     free(bytes);
 }
 
-static void wrong_calls(SortiePolicy *policy)
+static void wrong_calls(SortiePolicy *policy, Plan plan)
 {
     SortieGuards *guards = guards_of(policy), *wrong[4];
     const size_t bytes = SORTIE_GUARDS_MEMORY(1);
@@ -150,6 +149,9 @@ static void wrong_calls(SortiePolicy *policy)
     EXPECT(SORTIE_ERROR_OVERLAP, sortie_check_outputs(guards, (float *)(void *)&trip, 1, &trip));
     EXPECT(SORTIE_ERROR_OVERLAP, sortie_check_outputs(guards, (float *)(void *)guards, 1, &trip));
     EXPECT(SORTIE_ERROR_OVERLAP, sortie_fall_back(guards, SORTIE_GUARD_AGE, (float *)(void *)guards, 1));
+    EXPECT(SORTIE_ERROR_OVERLAP, sortie_check_outputs(guards, (float *)(void *)plan.bytes, 1, &trip));
+    EXPECT(SORTIE_ERROR_OVERLAP, sortie_fall_back(guards, SORTIE_GUARD_AGE, (float *)(void *)plan.bytes, 1));
+    EXPECT(SORTIE_ERROR_OVERLAP, sortie_check_inputs(guards, numbers, 1, 0, (SortieTrip *)(void *)plan.bytes));
     EXPECT(SORTIE_ERROR_NO_TRIP, sortie_fall_back(guards, SORTIE_GUARD_NONE, numbers, 1));
     EXPECT(SORTIE_ERROR_NO_TRIP, sortie_fall_back(guards, 6, numbers, 1));
     EXPECT(SORTIE_ERROR_NO_TRIP, sortie_fall_back(guards, 9, numbers, 1));
@@ -167,7 +169,7 @@ void guards(void)
     trips(policy);
     clamps(load(clamping(plan)));
     memory(policy, plan);
-    wrong_calls(policy);
+    wrong_calls(policy, plan);
     EXPECT(SORTIE_ERROR_NO_GUARDS, sortie_guard(load(unguarded), bytes, sizeof bytes, &none));
     CHECK(none == NULL);
     damaged.bytes[damaged.length - 1] ^= 1;
