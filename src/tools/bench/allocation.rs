@@ -10,19 +10,18 @@ use sortie_cli::deployment::open_bundle;
 use sortie_cli::environment::{ScenarioSetName, entry_of};
 use sortie_cli::failure::{Exit, Failure, Outcome};
 use sortie_cli::files::write_output;
-use sortie_cli::output::tell;
 use sortie_cli::policy::{Backend, DeployedPolicy};
 use sortie_cli::tools::{OnnxRuntimeArguments, plans};
 use sortie_cli::worlds::{FrameRelation, relation};
 use sortie_core::allocate::{TaskRelation, TeamQuery, Teams, exact};
-use sortie_core::plan::{PlanError, Profile};
+use sortie_core::plan::Profile;
 use sortie_core::{AllocateError, AllocationState, Allocator};
-use sortie_plans::{BatchedValues, CompileError, OnnxRuntimeEngine};
+use sortie_plans::{BatchedValues, OnnxRuntimeEngine};
 
 use super::pointing::{self, Playing};
 use super::rounds::{alternate_long, engine, our_engine};
 use super::scenes::{self, some};
-use super::{FUSED, Figures, Measuring, OURS, TRACT_VERSION, pin};
+use super::{FUSED, Figures, Measuring, OURS, TRACT_VERSION, if_runnable, pin};
 
 /// Agents and open subtasks of the states that are measured.
 const SIZE: (usize, usize) = (5, 6);
@@ -106,7 +105,7 @@ fn measure_team_values(
     let mut single =
         runtime.map(|runtime| LearnedAllocator::of_graph(bundle, runtime)).transpose()?;
     let mut batched = runtime.map(|runtime| Batched::new(bundle, runtime, onnx)).transpose()?;
-    let [(_, first), ..] = ours.as_mut_slice() else { unreachable!() };
+    let (_, first) = ours.first_mut().expect("every machine runs the exact profile");
     let states = states(bundle, first, arguments.measuring.common.seed)?;
     let mut proposing = arguments.proposing()?;
     let mut proposing = proposing.as_mut().map(ProposalMemory::allocator).transpose()?;
@@ -150,11 +149,7 @@ fn measure_team_values(
 /// The bundle's allocator in every profile that this machine has and that such plans know, `exact` first.
 fn ours_of(bundle: &Bundle) -> Result<Vec<(&'static str, LearnedAllocator)>, Failure> {
     let mut ours = vec![(OURS, LearnedAllocator::open(bundle, Backend::Plan)?)];
-    if let Err(CompileError::Plan(PlanError::WrongProfile { .. })) =
-        plans().allocator(bundle, Profile::Fused)
-    {
-        tell!("note: this machine cannot run `{FUSED}`");
-    } else {
+    if if_runnable(FUSED, plans().allocator(bundle, Profile::Fused))?.is_some() {
         ours.push((FUSED, LearnedAllocator::of_plan(bundle, &plans(), Profile::Fused)?));
     }
     Ok(ours)

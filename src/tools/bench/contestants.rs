@@ -11,20 +11,18 @@ use sortie_cli::output::tell;
 use sortie_cli::policy::{Backend, DeployedPolicy, graph_policy};
 use sortie_cli::tools::{OnnxRuntimeArguments, compiler, plans};
 use sortie_core::Policy;
-use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
+use sortie_core::plan::{AlignedBytes, Plan, Profile};
 use sortie_envs::Split;
 use sortie_plans::{
     AgentPlans, BatchedUtilities, CompileError, CompileOptions, Compiler, OnnxRuntimeEngine,
 };
 
 use super::scenes::large_set;
+use super::{FUSED, OURS, if_runnable};
 
 /// The profiles of our plans, and what their engines are called.
-pub(super) const PROFILES: [(&str, Profile); 3] = [
-    ("sortie exact", Profile::Exact),
-    ("sortie fused", Profile::Fused),
-    ("sortie int8", Profile::Int8),
-];
+pub(super) const PROFILES: [(&str, Profile); 3] =
+    [(OURS, Profile::Exact), (FUSED, Profile::Fused), ("sortie int8", Profile::Int8)];
 
 /// All engines of one bundle.
 pub(super) struct Contestants<'b> {
@@ -63,13 +61,8 @@ impl<'b> Contestants<'b> {
             if let (Profile::Exact, Some(plan)) = (profile, plans.plans().first()) {
                 floor = Some(floor_of(plan.as_slice()).map_err(within)?);
             }
-            match DeployedPolicy::of_plans(plans) {
-                Ok(policy) => ours.push((name, policy)),
-                Err(CompileError::Plan(PlanError::WrongProfile { .. })) => {
-                    tell!("note: this machine cannot run `{name}`");
-                }
-                Err(error) => return Err(within(error)),
-            }
+            let policy = if_runnable(name, DeployedPolicy::of_plans(plans)).map_err(within)?;
+            ours.extend(policy.map(|policy| (name, policy)));
         }
         let runtime = onnxruntime.open_or_note("onnxruntime is not measured")?;
         let peer = runtime.map(|runtime| {

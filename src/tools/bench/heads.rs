@@ -2,9 +2,8 @@
 
 use clap::Args;
 use sortie_cli::failure::Failure;
-use sortie_cli::output::tell;
 use sortie_cli::tools::compiler;
-use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
+use sortie_core::plan::{AlignedBytes, Plan, Profile};
 use sortie_core::{EntityMask, PlanPolicy, Policy};
 use sortie_learn::export::{AgentNetwork, agent_onnx};
 use sortie_learn::networks::{AgentShape, EntityAgent, LookShape, Targets};
@@ -14,7 +13,7 @@ use sortie_plans::{CompileError, CompileOptions, Compiler, random_observations_o
 
 use super::contestants::PROFILES;
 use super::rounds::{Pace, alternate, engine, our_engine};
-use super::{Figures, Measuring, pin};
+use super::{Figures, Measuring, if_runnable, pin};
 
 /// Of the observations: agents' own columns and two of each pair, eight targets among eleven entities, six further actions.
 const FEATURES: usize = 32;
@@ -58,15 +57,12 @@ pub(super) fn measure(arguments: &HeadsArguments) -> Result<Figures, Failure> {
             let mut policies = Vec::new();
             for plan in plans {
                 let plan = plan?;
-                let arena = match Plan::load(plan.as_slice()) {
-                    Ok(plan) => AlignedBytes::zeroed(plan.arena_bytes()),
-                    Err(PlanError::WrongProfile { .. }) => break,
-                    Err(error) => return Err(CompileError::from(error).into()),
-                };
-                policies.push((plan, arena));
+                let bytes = Plan::load(plan.as_slice()).map(|plan| plan.arena_bytes());
+                let bytes = if_runnable(name, bytes.map_err(CompileError::from))?;
+                let Some(bytes) = bytes else { break };
+                policies.push((plan, AlignedBytes::zeroed(bytes)));
             }
             if policies.len() < HEADS.len() {
-                tell!("note: this machine cannot run `{name}`");
                 continue;
             }
             let mut engines = Vec::new();

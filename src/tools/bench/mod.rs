@@ -21,10 +21,12 @@ use rustix::thread::{CpuSet, sched_setaffinity};
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 use sortie_cli::failure::{Exit, Failure, Outcome};
-use sortie_cli::output::{Common, Table, print_json, say};
+use sortie_cli::output::{Common, Table, print_json, say, tell};
 use sortie_cli::tools::engines;
+use sortie_core::plan::PlanError;
 use sortie_envs::random::generator;
 use sortie_envs::{ENVIRONMENTS, Split, observe_and_step, open, step_alone};
+use sortie_plans::CompileError;
 
 use rounds::{Engine, Measured, paired_ratio};
 
@@ -146,6 +148,17 @@ pub(crate) fn run(arguments: &BenchArguments) -> Outcome {
         figures.print();
     }
     Ok(())
+}
+
+/// What was opened; none, and a note, where this machine does not have its profile.
+fn if_runnable<T>(name: &str, opened: Result<T, CompileError>) -> Result<Option<T>, CompileError> {
+    match opened {
+        Err(CompileError::Plan(PlanError::WrongProfile { .. })) => {
+            tell!("note: this machine cannot run `{name}`");
+            Ok(None)
+        }
+        opened => opened.map(Some),
+    }
 }
 
 /// Keeps this thread on one core, so that figures do not mix cores.

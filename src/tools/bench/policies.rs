@@ -7,7 +7,7 @@ use sortie_cli::failure::{Exit, Failure, Outcome};
 use sortie_cli::foreign::PolicyArguments;
 use sortie_cli::output::tell;
 use sortie_cli::tools::{OnnxRuntimeArguments, compiler, engines};
-use sortie_core::plan::{AlignedBytes, PlanError, Profile};
+use sortie_core::plan::{AlignedBytes, Profile};
 use sortie_plans::{
     CompileError, CompileOptions, FlatPolicy, PlanFlatPolicy, PolicyFacts, PolicyOptions,
     random_policy_inputs, read_onnx,
@@ -15,7 +15,7 @@ use sortie_plans::{
 
 use super::contestants::{PROFILES, floor_of};
 use super::rounds::{Pace, alternate, engine, our_engine};
-use super::{FLOOR, Figures, Measuring, TRACT_VERSION, pin};
+use super::{FLOOR, Figures, Measuring, TRACT_VERSION, if_runnable, pin};
 
 /// Inputs in rotation.
 const INPUTS: usize = 64;
@@ -64,13 +64,8 @@ fn measure_one(
     let floor = floor_of(exact.as_slice())?;
     let mut ours = Vec::new();
     for (profile, plan, facts) in &plans {
-        match PlanFlatPolicy::load(plan.as_slice(), facts.clone()) {
-            Ok(policy) => ours.push((*profile, policy)),
-            Err(CompileError::Plan(PlanError::WrongProfile { .. })) => {
-                tell!("note: this machine cannot run `{profile}`");
-            }
-            Err(error) => return Err(error.into()),
-        }
+        let policy = PlanFlatPolicy::load(plan.as_slice(), facts.clone());
+        ours.extend(if_runnable(profile, policy)?.map(|policy| (*profile, policy)));
     }
     let mut tract = engines()?.tract().flat_policy(onnx, options)?;
     let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;

@@ -2,11 +2,10 @@
 
 use clap::Args;
 use sortie_cli::failure::Failure;
-use sortie_cli::output::tell;
 use sortie_cli::tools::{OnnxRuntimeArguments, compiler};
 use sortie_core::allocate::ProposalAllocator;
 use sortie_core::allocate::proposals::GumbelDraw;
-use sortie_core::plan::{AlignedBytes, Plan, PlanError, Profile};
+use sortie_core::plan::{AlignedBytes, Plan, Profile};
 use sortie_core::{AllocationState, EntityMask};
 use sortie_envs::random::generator;
 use sortie_methods::proposals::{
@@ -15,7 +14,7 @@ use sortie_methods::proposals::{
 use sortie_plans::{CompileError, CompileOptions, Compiler, DrawnProposals, ProposalFiles};
 
 use super::rounds::{alternate_long, engine, our_engine};
-use super::{Figures, Measuring, pin};
+use super::{FUSED, Figures, Measuring, OURS, if_runnable, pin};
 
 /// Sizes of the networks and of the states.
 const SHAPE: AllocationShape = AllocationShape { features: 58, columns: 8, width: 128, heads: 4 };
@@ -47,15 +46,12 @@ pub(super) fn measure(arguments: &ProposalsArguments) -> Result<Figures, Failure
     let graphs = export_proposals(&policy, &critic, 0).map_err(Failure::bug)?;
     let files = ProposalFiles { trunk: &graphs.trunk, step: &graphs.step, critic: &graphs.critic };
     let mut plans = Vec::new();
-    for (name, profile) in [("sortie exact", Profile::Exact), ("sortie fused", Profile::Fused)] {
+    for (name, profile) in [(OURS, Profile::Exact), (FUSED, Profile::Fused)] {
         let options = CompileOptions { n_max: ENTITIES, profile, ..CompileOptions::default() };
         let plan = AlignedBytes::copy_of(&compiler().compile_proposals(&files, &options)?.bytes);
-        match Plan::load(plan.as_slice()).map(|plan| plan.arena_bytes()) {
-            Ok(bytes) => plans.push((name, plan, AlignedBytes::zeroed(bytes))),
-            Err(PlanError::WrongProfile { .. }) => {
-                tell!("note: this machine cannot run `{name}`");
-            }
-            Err(error) => return Err(CompileError::from(error).into()),
+        let bytes = Plan::load(plan.as_slice()).map(|plan| plan.arena_bytes());
+        if let Some(bytes) = if_runnable(name, bytes.map_err(CompileError::from))? {
+            plans.push((name, plan, AlignedBytes::zeroed(bytes)));
         }
     }
     let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
