@@ -12,7 +12,7 @@ use sortie_learn::subtasks::PROPOSALS;
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, GraphEngine};
 use sortie_stage::{Search, SearchSizes, TeamValuePlan};
 
-use crate::ahead::LookingAhead;
+use crate::ahead::LookingAheadMemory;
 use crate::allocation::AllocatorChoice;
 use crate::environment::{check_relations, entry_of};
 use crate::failure::{Exit, Failure, Outcome};
@@ -26,7 +26,7 @@ pub enum DeployedAllocator {
     Learned(Box<LearnedAllocator>),
     Proposing(Box<ProposalMemory>),
     Pointing(Box<PointingMemory>),
-    Ahead(Box<LookingAhead>),
+    Ahead(Box<LookingAheadMemory>),
 }
 
 impl DeployedAllocator {
@@ -60,7 +60,7 @@ impl DeployedAllocator {
             return match proposals.asked() {
                 None | Some(1) => Ok(Self::Pointing(Box::new(memory))),
                 Some(turns) => {
-                    Ok(Self::Ahead(Box::new(LookingAhead::open(bundle, memory, turns)?)))
+                    Ok(Self::Ahead(Box::new(LookingAheadMemory::open(bundle, memory, turns)?)))
                 }
             };
         }

@@ -10,7 +10,7 @@ use sortie_core::allocate::{
     exact,
 };
 use sortie_core::plan::{AlignedBytes, Plan, PlanError};
-use sortie_core::{AllocateError, AllocationState, Allocator, EntityMask, limits};
+use sortie_core::{AllocateError, AllocationState, Allocator, limits};
 use sortie_envs::random::generator;
 use sortie_envs::{Entry, Frame, FrameError, FrameReader};
 
@@ -36,7 +36,7 @@ impl Allocator for RuleAllocator {
         allocation: &mut [u8],
     ) -> Result<(), AllocateError> {
         state.check(allocation)?;
-        let read = self.reader.read(&frame(state));
+        let read = self.reader.read(&Frame::of(state));
         let mut random = generator(self.seed ^ fingerprint(state, state.stride));
         read.and_then(|()| self.reader.allocate(self.rule, &mut random, allocation))
             .map_err(refusal)
@@ -59,7 +59,7 @@ impl TaskRelation for FrameRelation {
     }
 
     fn observe(&mut self, state: &AllocationState<'_>) -> Result<(), AllocateError> {
-        self.0.read(&frame(state)).map_err(refusal)
+        self.0.read(&Frame::of(state)).map_err(refusal)
     }
 
     fn write(&mut self, _: &AllocationState<'_>, task: usize, relation: &mut [f32]) {
@@ -73,24 +73,6 @@ fn refusal(error: FrameError) -> AllocateError {
         FrameError::BadLength => AllocateError::BadLength,
         _ => AllocateError::NonFinite,
     }
-}
-
-/// What a reader of frames, or an environment, reads back of a state.
-pub fn frame<'a>(state: &AllocationState<'a>) -> Frame<'a> {
-    Frame {
-        rows: state.rows,
-        stride: state.stride,
-        agents: state.agents,
-        tasks: state.tasks,
-        present: bits(&state.present),
-        open_tasks: state.open_tasks,
-        available: state.available,
-    }
-}
-
-fn bits(entities: &EntityMask) -> u128 {
-    let word = |index| u128::from(entities.words().get(index).copied().unwrap_or(0));
-    word(0) | word(1) << 64
 }
 
 /// A search by the values of a network that allocates.

@@ -22,7 +22,7 @@ mod utilities;
 pub mod world;
 
 pub use allocation::{
-    FrameRelation, LearnedAllocator, RuleAllocator, Search, SearchSizes, TeamValuePlan, frame,
+    FrameRelation, LearnedAllocator, RuleAllocator, Search, SearchSizes, TeamValuePlan,
 };
 pub use cast::{AllocatorCast, Cast, GoldenObservation, OptionSettings};
 pub use error::StageError;

@@ -7,7 +7,9 @@ use alloc::vec::Vec;
 
 use serde::Serialize;
 use sortie_envs::picture::{Cell, Disc, Field, Link};
-use sortie_envs::{EntitySet, Environment, Episode, Metric, Observation, Spec, UNASSIGNED};
+use sortie_envs::{
+    EntitySet, Environment, Episode, Metric, Observation, Spec, UNASSIGNED, deployed_tasks,
+};
 
 use crate::team_values::{TeamValues, candidates};
 use crate::thoughts::{Thought, rounded};
@@ -191,7 +193,12 @@ impl Shown {
             links: picture.links,
             ..State::default()
         };
-        Self { step: None, state, cells: picture.cells, open_tasks: observed.open_tasks }
+        Self {
+            step: None,
+            state,
+            cells: picture.cells,
+            open_tasks: deployed_tasks(observed.open_tasks),
+        }
     }
 
     /// The same behind another state: of squares those that differ from there.

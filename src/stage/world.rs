@@ -8,7 +8,7 @@ use core::cell::RefCell;
 use sortie_core::EntityMask;
 use sortie_core::wire::FrameMut;
 use sortie_core::world::{Shape, StepOutcome, UnavailableAction, World};
-use sortie_envs::{EntitySet, Environment, Observation, Random, Step, StepError};
+use sortie_envs::{EntitySet, Environment, Observation, Random, Step, StepError, deployed_tasks};
 
 use crate::tally::Tally;
 
@@ -118,7 +118,7 @@ fn write_frame(seen: &Observation, shape: &sortie_envs::Shape, frame: &mut Frame
         }
     }
     frame.set_present(&entity_mask(seen.present));
-    frame.set_open_tasks(seen.open_tasks);
+    frame.set_open_tasks(deployed_tasks(seen.open_tasks));
     frame.set_absent(seen.absent);
     for (agent, (entities, available)) in seen.observable.iter().zip(&seen.available).enumerate() {
         frame.set_observable(agent, &entity_mask(*entities));
@@ -127,7 +127,7 @@ fn write_frame(seen: &Observation, shape: &sortie_envs::Shape, frame: &mut Frame
         }
     }
     for (entity, tasks) in seen.entity_task.iter().enumerate().skip(shape.agents) {
-        frame.set_entity_task(entity, *tasks);
+        frame.set_entity_task(entity, deployed_tasks(*tasks));
     }
 }
 

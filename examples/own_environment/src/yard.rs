@@ -78,13 +78,13 @@ impl Yard {
 
 impl Track {
     /// The sites at which something is left, as bits.
-    fn open(&self) -> u32 {
+    fn open(&self) -> u128 {
         (0..SITES).filter(|site| self.loads[*site] > 0).fold(0, |open, site| open | 1 << site)
     }
 
-    fn available(&self, cart: usize) -> u64 {
+    fn available(&self, cart: usize) -> u128 {
         let (left, right) = (self.carts[cart] > 0, usize::from(self.carts[cart]) < FIELDS - 1);
-        u64::from(left) | 0b10 | u64::from(right) << 2 | u64::from(self.open()) << MOVES
+        u128::from(left) | 0b10 | u128::from(right) << 2 | self.open() << MOVES
     }
 
     fn distance(&self, cart: usize, site: usize) -> u8 {
@@ -274,7 +274,7 @@ impl Environment for Yard {
 
     fn allocate(&self, rule: usize, state: &[u8], _: &mut Random, allocation: &mut [u8]) {
         let track = Track::try_from(state).expect("a state of this environment");
-        let open: Vec<usize> = members(track.open().into()).collect();
+        let open: Vec<usize> = members(track.open()).collect();
         for (cart, task) in allocation.iter_mut().enumerate() {
             let site = match rule {
                 0 => open.get(cart % open.len().max(1)),

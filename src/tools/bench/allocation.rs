@@ -29,9 +29,9 @@ const SIZE: (usize, usize) = (5, 6);
 const CALLS_PER_TURN: usize = 4;
 
 /// Allocations of a bundle's learned allocator, five agents to six subtasks: the values of all teams, then
-/// the best allocation; of an allocator that points, whole instances and single rounds
+/// the best allocation; of an allocator that points, whole instances and single rounds, and its encoder and decoder
 ///
-/// onnxruntime computes the same values with the exported graph, a call for each team, and with a graph that
+/// Of team values onnxruntime computes the same values with the exported graph, a call for each team, and with a graph that
 /// takes all teams in one call. In processor time: peers take longer than the system's time slices.
 #[derive(Debug, Args)]
 pub(super) struct AllocationArguments {
@@ -56,9 +56,9 @@ pub(super) struct AllocationArguments {
 }
 
 impl AllocationArguments {
-    fn playing(&self) -> Playing<'_> {
+    fn playing<'a>(&'a self, runtime: Option<&'a dyn OnnxRuntimeEngine>) -> Playing<'a> {
         let Self { proposals, played_by, measuring, .. } = self;
-        Playing { proposals: *proposals, played_by: *played_by, measuring }
+        Playing { proposals: *proposals, played_by: *played_by, runtime, measuring }
     }
 
     /// The allocator that proposes, if one was named.
@@ -73,12 +73,13 @@ impl AllocationArguments {
 
 pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failure> {
     let (mut figures, mut grown) = (Figures::default(), Vec::new());
+    let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
     for folder in &arguments.bundles {
         let bundle = open_bundle(folder)?;
         if bundle.pointing_graphs().is_some() {
-            grown.push(pointing::measure(&bundle, arguments.playing(), &mut figures)?);
+            grown.push(pointing::measure(&bundle, arguments.playing(runtime), &mut figures)?);
         } else {
-            measure_team_values(&bundle, arguments, &mut figures)?;
+            measure_team_values(&bundle, arguments, runtime, &mut figures)?;
         }
     }
     if let Some(file) = &arguments.picture {
@@ -95,11 +96,11 @@ pub(super) fn measure(arguments: &AllocationArguments) -> Result<Figures, Failur
 fn measure_team_values(
     bundle: &Bundle,
     arguments: &AllocationArguments,
+    runtime: Option<&dyn OnnxRuntimeEngine>,
     figures: &mut Figures,
 ) -> Outcome {
     let name = bundle.folder().display().to_string();
     let onnx = bundle.allocator_onnx().ok_or_else(|| none_learned(&name))?;
-    let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
     let mut ours = ours_of(bundle)?;
     let mut tract = LearnedAllocator::open(bundle, Backend::Tract)?;
     let mut single =

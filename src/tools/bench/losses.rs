@@ -13,7 +13,7 @@ use sortie_cli::output::{Common, Table, print_json, say};
 use sortie_core::wire::FrameMut;
 use sortie_core::{Shape, StepOutcome, UNASSIGNED, UnavailableAction, World};
 use sortie_envs::random::{episode, generator};
-use sortie_envs::{Observation, Split};
+use sortie_envs::{Observation, Split, deployed_tasks};
 use sortie_learn::evaluate::wilson_interval;
 use sortie_stage::world::EnvironmentWorld;
 use sortie_stage::{Cast, Memory, Moment, Stage, StageError};
@@ -329,7 +329,7 @@ impl Episodes {
     }
 
     fn open_tasks(&self) -> u32 {
-        self.seen().open_tasks
+        deployed_tasks(self.seen().open_tasks)
     }
 
     /// Whether the newest episode that is over was solved.

@@ -1,4 +1,5 @@
-//! Whole instances by an allocator that points: the encoder once, then a round of decisions after the other.
+//! Whole instances by an allocator that points: the encoder once, then a round of decisions after the other; and its two
+//! networks beside their peers.
 
 use sortie_bundle::{Bundle, OwnedAllocationState};
 use sortie_cli::allocation::{Allocation, AllocatorChoice};
@@ -7,12 +8,16 @@ use sortie_cli::environment::ScenarioSetName;
 use sortie_cli::failure::Failure;
 use sortie_cli::policy::{Backend, DeployedPolicy};
 use sortie_learn::report::chart::{Line, growth};
+use sortie_plans::{OnnxRuntimeEngine, pointing_policies};
 
-use super::rounds::{alternate_long, our_engine};
+use super::policies::{self, Contest};
+use super::rounds::{Pace, alternate_long, our_engine};
 use super::{Figures, Measuring, OURS, pin, scenes};
 
 /// Instances before anybody else has a turn.
 const CALLS_PER_TURN: usize = 4;
+/// Whole instances, rounds, encoder and decoder share the time.
+const PARTS: f64 = 4.0;
 
 /// How instances are played.
 #[derive(Clone, Copy)]
@@ -20,6 +25,7 @@ pub(super) struct Playing<'a> {
     pub(super) proposals: ProposalArguments,
     /// The rule that plays them, unless the allocator itself does.
     pub(super) played_by: Option<Allocation>,
+    pub(super) runtime: Option<&'a dyn OnnxRuntimeEngine>,
     pub(super) measuring: &'a Measuring,
 }
 
@@ -31,10 +37,32 @@ pub(super) struct Grown {
     round_us: f64,
 }
 
-/// Times instances of as many subtasks as the bundle's episodes have at most, and each of their rounds.
+/// Times instances of as many subtasks as the bundle's episodes have at most, and each of their rounds; encoder and decoder
+/// on random inputs, beside their peers.
 pub(super) fn measure(
     bundle: &Bundle,
-    Playing { proposals, played_by, measuring }: Playing<'_>,
+    playing: Playing<'_>,
+    figures: &mut Figures,
+) -> Result<Grown, Failure> {
+    let grown = measure_instances(bundle, playing, figures)?;
+    let graphs = bundle.pointing_graphs().into_iter().flat_map(|(graphs, _)| graphs);
+    for ((onnx, options), name) in graphs.zip(pointing_policies()).zip(["encoder", "decoder"]) {
+        let contest = Contest {
+            what: "allocation",
+            name,
+            onnx,
+            options: &options,
+            paces: &[Pace::Hot],
+            seconds: playing.measuring.seconds / PARTS,
+        };
+        policies::measure_one(&contest, playing.runtime, playing.measuring, figures)?;
+    }
+    Ok(grown)
+}
+
+fn measure_instances(
+    bundle: &Bundle,
+    Playing { proposals, played_by, measuring, .. }: Playing<'_>,
     figures: &mut Figures,
 ) -> Result<Grown, Failure> {
     let open =
@@ -60,7 +88,7 @@ pub(super) fn measure(
     let of_them = format!("{subtasks} subtasks, {agents} agents, {mean:.1} rounds");
     let mut time = |case: String, play: &mut dyn FnMut(usize)| {
         let mut engines = vec![our_engine(OURS, play)];
-        let measured = alternate_long(&mut engines, CALLS_PER_TURN, measuring.seconds / 2.0);
+        let measured = alternate_long(&mut engines, CALLS_PER_TURN, measuring.seconds / PARTS);
         figures.add("allocation", &case, &engines, &measured);
         measured.first().map_or(0.0, |measured| measured.latency.percentiles().p50)
     };

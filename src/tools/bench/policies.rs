@@ -9,8 +9,8 @@ use sortie_cli::output::tell;
 use sortie_cli::tools::{OnnxRuntimeArguments, compiler, engines};
 use sortie_core::plan::{AlignedBytes, Profile};
 use sortie_plans::{
-    CompileError, CompileOptions, FlatPolicy, PlanFlatPolicy, PolicyFacts, PolicyOptions,
-    random_policy_inputs, read_onnx,
+    CompileError, CompileOptions, FlatPolicy, OnnxRuntimeEngine, PlanFlatPolicy, PolicyFacts,
+    PolicyOptions, random_policy_inputs, read_onnx,
 };
 
 use super::contestants::{PROFILES, floor_of};
@@ -41,24 +41,41 @@ pub(super) struct PolicyBenchArguments {
     policy: PolicyArguments,
 }
 
+/// One policy, and how long each pace between calls is measured.
+pub(super) struct Contest<'a> {
+    pub(super) what: &'static str,
+    pub(super) name: &'a str,
+    pub(super) onnx: &'a [u8],
+    pub(super) options: &'a PolicyOptions,
+    pub(super) paces: &'a [Pace],
+    pub(super) seconds: f64,
+}
+
 pub(super) fn measure(arguments: &PolicyBenchArguments) -> Result<Figures, Failure> {
+    let PolicyBenchArguments { files, pace: paces, onnxruntime, measuring, policy } = arguments;
+    let runtime = onnxruntime.open_or_note("onnxruntime is not measured")?;
     let mut figures = Figures::default();
-    for file in &arguments.files {
-        let options = arguments.policy.options_for(file)?;
+    for file in files {
+        let options = policy.options_for(file)?;
         let onnx = read_onnx(file).map_err(|error| Failure::file(file, &error))?;
         let name = file.file_stem().unwrap_or(file.as_os_str()).display().to_string();
-        measure_one(arguments, &name, (&onnx, &options), &mut figures)
+        let seconds = measuring.seconds / (files.len() * paces.len()) as f64;
+        let contest =
+            Contest { what: "policy", name: &name, onnx: &onnx, options: &options, paces, seconds };
+        measure_one(&contest, runtime, measuring, &mut figures)
             .map_err(|failure| failure.within(file.display()))?;
     }
     Ok(figures)
 }
 
-fn measure_one(
-    arguments: &PolicyBenchArguments,
-    name: &str,
-    (onnx, options): (&[u8], &PolicyOptions),
+/// The plans of a policy, its peers and the floor in alternation.
+pub(super) fn measure_one(
+    contest: &Contest<'_>,
+    runtime: Option<&dyn OnnxRuntimeEngine>,
+    measuring: &Measuring,
     figures: &mut Figures,
 ) -> Outcome {
+    let Contest { what, name, onnx, options, paces, seconds } = *contest;
     let plans = compile(onnx, options)?;
     let Some((_, exact, facts)) = plans.first() else { return Ok(()) };
     let floor = floor_of(exact.as_slice())?;
@@ -68,10 +85,9 @@ fn measure_one(
         ours.extend(if_runnable(profile, policy)?.map(|policy| (*profile, policy)));
     }
     let mut tract = engines()?.tract().flat_policy(onnx, options)?;
-    let runtime = arguments.onnxruntime.open_or_note("onnxruntime is not measured")?;
     let peer = runtime.map(|runtime| runtime.flat_policy(onnx, options));
     let mut peer = peer.transpose()?;
-    let inputs = random_policy_inputs(INPUTS, facts, arguments.measuring.common.seed);
+    let inputs = random_policy_inputs(INPUTS, facts, measuring.common.seed);
     let mut inputs: Vec<Vec<&[f32]>> =
         inputs.iter().map(|given| given.iter().map(Vec::as_slice).collect()).collect();
     inputs.retain(|given| ours.iter_mut().all(|(_, policy)| is_answered(policy, given)));
@@ -86,9 +102,8 @@ fn measure_one(
             INPUTS - left
         ),
     }
-    pin(arguments.measuring.pin)?;
-    let seconds = arguments.measuring.seconds / arguments.files.len() as f64;
-    for pace in &arguments.pace {
+    pin(measuring.pin)?;
+    for pace in paces {
         let mut engines = Vec::new();
         for (profile, policy) in &mut ours {
             engines.push(our_engine(profile, |call| step(policy, &inputs, call)));
@@ -99,9 +114,8 @@ fn measure_one(
             engines.push(engine("onnxruntime", version, |call| step(peer.as_mut(), &inputs, call)));
         }
         engines.push(engine(FLOOR, "", |_| floor.read()));
-        let seconds = seconds / arguments.pace.len() as f64;
         let measured = alternate(&mut engines, *pace, seconds);
-        figures.add("policy", &format!("{name}, {}", pace.name()), &engines, &measured);
+        figures.add(what, &format!("{name}, {}", pace.name()), &engines, &measured);
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 use crate::environment::{Environment, Split, Step};
-use crate::observation::{EntitySet, Observation, members};
+use crate::observation::{ActionSet, EntitySet, Observation, TaskSet, members};
 use crate::random::{Random, generator, member};
 use crate::rows::SparseRows;
 use crate::spec::Spec;
@@ -179,7 +179,7 @@ impl Laws {
             let sound = |(column, value): &(usize, f32)| *column < features && value.is_finite();
             require(entries.iter().all(sound), || format!("impossible features: {entries:?}"))?;
         }
-        let within = |tasks: u32| u64::from(tasks) >> shape.tasks == 0;
+        let within = |tasks: TaskSet| tasks >> shape.tasks == 0;
         require(
             within(seen.open_tasks) && seen.entity_task.iter().all(|tasks| within(*tasks)),
             || "subtasks beyond the shape".into(),
@@ -190,7 +190,7 @@ impl Laws {
         })?;
         for (agent, available) in seen.available.iter().enumerate() {
             let actions = self.spec.actions_of(agent).len();
-            let possible = *available != 0 && u128::from(*available) >> actions == 0;
+            let possible = *available != 0 && (*available) >> actions == 0;
             require(possible && (agent < agents || *available == 1), || {
                 format!("agent {agent} may do {available:b}")
             })?;
@@ -234,14 +234,14 @@ impl Laws {
         let mut offers = Vec::new();
         let alone = self.played.offers(state, &mut offers);
         let (open, acting) = (self.seen.open_tasks, self.seen.acting());
-        let is_sound = |(agent, offer): (usize, &u32)| {
+        let is_sound = |(agent, offer): (usize, &TaskSet)| {
             offer & !open == 0 && (*offer == 0 || acting >> agent & 1 == 1)
         };
         let agents = offers.len() == self.spec.shape.agents;
         require(agents && offers.iter().enumerate().all(is_sound), || {
             format!("{open:b} are open, agents are offered {offers:?}")
         })?;
-        require(u64::from(alone) >> self.spec.shape.tasks == 0, || {
+        require(alone >> self.spec.shape.tasks == 0, || {
             format!("subtasks {alone:b} are for one agent alone")
         })
     }
@@ -288,7 +288,7 @@ impl Laws {
                 let mapped = (0..self.spec.shape.actions as u16)
                     .filter(|action| plain >> action & 1 == 1)
                     .map(|action| 1 << self.played.turned_action(turn, action))
-                    .fold(0_u64, |set, action| set | action);
+                    .fold(0, |set: ActionSet, action| set | action);
                 require(mapped == *turned, || {
                     format!("turn {turn}: agent {agent} may do {turned:b}")
                 })?;
@@ -298,7 +298,7 @@ impl Laws {
     }
 
     fn random_actions(&self, random: &mut Random) -> Vec<u16> {
-        let choose = |set: &u64| member(random, (*set).into()).unwrap_or(0) as u16;
+        let choose = |set: &ActionSet| member(random, *set).unwrap_or(0) as u16;
         self.seen.available.iter().map(choose).collect()
     }
 }
@@ -316,8 +316,7 @@ fn fixed(spec: &Spec, seen: &Observation) -> Vec<(usize, Vec<(usize, f32)>)> {
 /// An entity that an agent may aim at and does not observe.
 fn unseen_target(spec: &Spec, seen: &Observation, agent: usize) -> Option<usize> {
     let observed = seen.observable[agent] & seen.present;
-    let mut targets =
-        members(seen.available[agent].into()).filter_map(|action| spec.target_of(action));
+    let mut targets = members(seen.available[agent]).filter_map(|action| spec.target_of(action));
     targets.find(|target| observed >> target & 1 == 0)
 }
 

@@ -7,7 +7,7 @@ use core::any::Any;
 use core::fmt;
 
 use crate::frame::Frame;
-use crate::observation::{AgentSet, EntitySet, Observation, members};
+use crate::observation::{AgentSet, EntitySet, Observation, TaskSet, members};
 use crate::picture::Picture;
 use crate::random::Random;
 use crate::rows::SparseRows;
@@ -265,7 +265,7 @@ pub trait Environment: Any + Send + Sync {
 
     /// Writes `[A]` the open subtasks that each agent can be given, as bits, nothing for those that do not act; returns those
     /// that one agent alone can have. Unless an environment knows more, everybody can have all.
-    fn offers(&self, state: &[u8], offers: &mut Vec<u32>) -> u32 {
+    fn offers(&self, state: &[u8], offers: &mut Vec<TaskSet>) -> TaskSet {
         let mut seen = Observation::default();
         self.observe(state, 0, 0, &mut seen);
         let offer = |agent| if seen.acting() >> agent & 1 == 1 { seen.open_tasks } else { 0 };

@@ -5,7 +5,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
-use crate::observation::{ActionSet, AgentSet, EntitySet, Observation, members};
+use crate::observation::{ActionSet, AgentSet, EntitySet, Observation, TaskSet, members};
 use crate::picture::Picture;
 use crate::random::{Random, chance};
 use crate::rows::SparseRows;
@@ -239,7 +239,7 @@ impl Environment for Failing {
         self.inner.potentials(self.own(state), scale, potentials);
     }
 
-    fn offers(&self, state: &[u8], offers: &mut Vec<u32>) -> u32 {
+    fn offers(&self, state: &[u8], offers: &mut Vec<TaskSet>) -> TaskSet {
         let (own, failed, _) = self.split(state);
         let alone = self.inner.offers(own, offers);
         members(failed.into()).for_each(|agent| offers[agent] = 0);
@@ -311,7 +311,7 @@ mod tests {
                     assert_eq!(seen.available[agent].count_ones(), 1);
                     assert_eq!(allocation[agent], crate::UNASSIGNED);
                 }
-                let draw = |set: &ActionSet| member(&mut random, (*set).into()).unwrap_or(0) as u16;
+                let draw = |set: &ActionSet| member(&mut random, *set).unwrap_or(0) as u16;
                 let actions: Vec<u16> = seen.available.iter().map(draw).collect();
                 // What is asked of those who have failed makes no difference.
                 let mut others = actions.clone();

@@ -2,6 +2,8 @@
 
 use core::fmt;
 
+use sortie_core::AllocationState;
+
 use crate::observation::EntitySet;
 use crate::random::Random;
 
@@ -22,6 +24,22 @@ pub struct Frame<'a> {
     pub open_tasks: u32,
     /// Of every agent `[A, U]` its actions, 0 where one is not available; empty where nobody tells.
     pub available: &'a [u16],
+}
+
+impl<'a> Frame<'a> {
+    /// What an allocator is told of a state.
+    pub fn of(state: &AllocationState<'a>) -> Self {
+        let word = |index| u128::from(state.present.words().get(index).copied().unwrap_or(0));
+        Self {
+            rows: state.rows,
+            stride: state.stride,
+            agents: state.agents,
+            tasks: state.tasks,
+            present: word(0) | word(1) << 64,
+            open_tasks: state.open_tasks,
+            available: state.available,
+        }
+    }
 }
 
 /// Reads states back from feature rows, as far as rules of allocation look at them.

@@ -60,7 +60,9 @@ pub use decisions::{DecisionPoints, UNASSIGNED};
 pub use environment::{Environment, Episode, Split, StateError, Step, StepError};
 pub use failures::Failing;
 pub use frame::{Frame, FrameError, FrameReader};
-pub use observation::{ActionSet, AgentSet, EntitySet, Observation, members};
+pub use observation::{
+    ActionSet, AgentSet, EntitySet, Observation, TaskSet, deployed_tasks, members,
+};
 pub use picture::Picture;
 pub use random::Random;
 pub use registry::{Choice, ENVIRONMENTS, Entry, EnvironmentError, open};

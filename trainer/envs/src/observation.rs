@@ -14,7 +14,16 @@ pub type EntitySet = u128;
 pub type AgentSet = u64;
 
 /// Actions as bits.
-pub type ActionSet = u64;
+pub type ActionSet = u128;
+
+/// Subtasks as bits.
+pub type TaskSet = u128;
+
+/// Subtasks as messages and plans know them, which hold 32. Whoever has more learns and is measured, but is not deployed.
+#[inline]
+pub fn deployed_tasks(tasks: TaskSet) -> u32 {
+    tasks as u32
+}
 
 /// The members of a set, lowest first.
 #[inline]
@@ -52,11 +61,11 @@ pub struct Observation {
     /// `[A]`: the entities that each agent can observe; empty for those that do not exist.
     pub observable: Vec<EntitySet>,
     /// `[N]`: the subtasks, as bits, that each entity belongs to by itself; none for agents and absent entities.
-    pub entity_task: Vec<u32>,
+    pub entity_task: Vec<TaskSet>,
     /// `[A]`: the actions that each agent may take; one alone for absent agents, action 0 for those that do not exist.
     pub available: Vec<ActionSet>,
     /// The subtasks that exist and are not finished.
-    pub open_tasks: u32,
+    pub open_tasks: TaskSet,
 }
 
 impl Observation {
@@ -105,7 +114,7 @@ impl Observation {
     /// Number of subtasks up to the last one that is open or that something belongs to.
     pub fn tasks(&self) -> usize {
         let known = self.entity_task.iter().fold(self.open_tasks, |all, tasks| all | tasks);
-        (u32::BITS - known.leading_zeros()) as usize
+        (TaskSet::BITS - known.leading_zeros()) as usize
     }
 
     /// The entities that exist and are no agents.

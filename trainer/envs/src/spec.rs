@@ -27,9 +27,9 @@ impl Shape {
     /// Most entities.
     pub const ENTITIES: usize = 128;
     /// Most subtasks.
-    pub const TASKS: usize = 32;
+    pub const TASKS: usize = 127;
     /// Most actions.
-    pub const ACTIONS: usize = 64;
+    pub const ACTIONS: usize = 127;
     /// Most features.
     pub const FEATURES: usize = 1 << 15;
 }

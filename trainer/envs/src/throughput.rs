@@ -26,7 +26,7 @@ pub fn observe_and_step(
             environment.observe(&state, 0, EntitySet::MAX, &mut seen);
             actions.clear();
             let available = seen.available.iter();
-            actions.extend(available.map(|set| member(random, (*set).into()).unwrap_or(0) as u16));
+            actions.extend(available.map(|set| member(random, *set).unwrap_or(0) as u16));
             let step = environment
                 .step(instance, &actions, random)
                 .expect("the actions were drawn from the available ones");

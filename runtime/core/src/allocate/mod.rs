@@ -67,8 +67,30 @@ impl Teams {
 }
 
 /// The members of a set of subtasks in rising order.
-fn members(tasks: u32) -> impl DoubleEndedIterator<Item = usize> + Clone {
-    (0..TASKS).filter(move |task| tasks >> task & 1 == 1)
+fn members(tasks: u32) -> Members {
+    Members(tasks)
+}
+
+/// Those that are still to come. To look at every bit would be a tenth of a pointing allocator's own work.
+#[derive(Clone)]
+struct Members(u32);
+
+impl Iterator for Members {
+    type Item = usize;
+
+    fn next(&mut self) -> Option<usize> {
+        let lowest = self.0.trailing_zeros();
+        self.0 &= self.0.checked_sub(1)?;
+        Some(lowest as usize)
+    }
+}
+
+impl DoubleEndedIterator for Members {
+    fn next_back(&mut self) -> Option<usize> {
+        let highest = self.0.checked_ilog2()?;
+        self.0 ^= 1 << highest;
+        Some(highest as usize)
+    }
 }
 
 /// What a team at a subtask is worth.

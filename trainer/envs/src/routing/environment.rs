@@ -21,7 +21,7 @@ use crate::bytes::{LAYOUT, known};
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
 use crate::frame::Frame;
-use crate::observation::{EntitySet, Observation};
+use crate::observation::{EntitySet, Observation, TaskSet};
 use crate::picture::Picture;
 use crate::random::{Random, below};
 use crate::spec::{Metric, Shape, Spec};
@@ -39,9 +39,11 @@ pub const ENTRY: Entry = Entry {
     recordings: None,
 };
 
-const SETS: [&str; 4] = ["5-15", "5-15-sequential", "15", "20"];
-/// Customers that sets have room for, of as many or fewer.
-const USUAL: usize = 15;
+const SETS: [&str; 5] = ["5-15", "5-15-sequential", "5-15x1", "15", "20"];
+/// Customers that sets of as many or fewer have room for, and what a vehicle holds in them, as in the literature for so many.
+const SIZES: [(usize, u8); 4] = [(15, 25), (31, 30), (50, 40), (CUSTOMERS, 50)];
+/// Most trips that one vehicle alone has to make where there are no more customers than in the smallest of these sets.
+const TRIPS: usize = 4;
 /// What the name of a set ends with whose vehicles may leave the depot while others are outside.
 const SEQUENTIAL: &str = "-sequential";
 
@@ -64,15 +66,16 @@ const FIRST_SEED: u64 = 1 << 32;
 #[serde(deny_unknown_fields, default)]
 struct Settings {
     vehicles: usize,
-    /// What a vehicle holds; 0: 25, or 30 where there are more than 15 customers.
+    /// What a vehicle holds; 0: what is usual for so many customers.
     capacity: u8,
-    /// What each wave after the first costs where vehicles leave together; while learning alone.
-    wave_cost: f64,
+    /// What each wave after the first costs where vehicles leave together, while learning alone: 1, and nothing where there is
+    /// one vehicle, each of whose trips is a wave.
+    wave_cost: Option<f64>,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { vehicles: 4, capacity: 0, wave_cost: 1.0 }
+        Self { vehicles: 4, capacity: 0, wave_cost: None }
     }
 }
 
@@ -82,6 +85,8 @@ pub struct Routing {
     spec: Spec,
     layout: Layout,
     sizes: RangeInclusive<usize>,
+    /// As many as serve every instance: one of each vehicle, more of one that is alone.
+    trips: usize,
     capacity: u8,
     wave_cost: f64,
     split: Split,
@@ -96,7 +101,7 @@ impl Routing {
     }
 
     fn drawn(&self, seed: u64, customers: usize) -> Instance {
-        Instance::drawn(seed, customers, self.capacity, self.layout.vehicles).0
+        Instance::drawn(seed, customers, self.capacity, self.trips).0
     }
 
     /// Begins an episode with an instance that has places for these vehicles; what is measured knows the shortest routes.
@@ -105,7 +110,7 @@ impl Routing {
         self.tours[instance] = match self.split {
             Split::Train => Tour { wave_cost: self.wave_cost, ..Tour::new(routed, vehicles, None) },
             Split::Test => {
-                let best = optimum(&routed, vehicles);
+                let best = optimum(&routed, self.trips);
                 Tour::new(routed, vehicles, best)
             }
         };
@@ -118,13 +123,15 @@ impl Routing {
             return Err(StateError::Version { found, wanted: LAYOUT });
         }
         let tour: Option<Tour> = postcard::from_bytes(bytes).ok();
-        let fits = |tour: &Tour| {
-            tour.is_sound(self.layout.vehicles)
-                && self.sizes.contains(&tour.instance.customers())
-                && tour.instance.capacity == self.capacity
-        };
-        tour.filter(fits)
+        tour.filter(|tour| self.knows(tour))
             .ok_or_else(|| StateError::Impossible("it is no tour of these vehicles".into()))
+    }
+
+    /// Whether an episode of these sizes can have come to this.
+    fn knows(&self, tour: &Tour) -> bool {
+        tour.is_sound(self.layout.vehicles)
+            && self.sizes.contains(&tour.instance.customers())
+            && tour.instance.capacity == self.capacity
     }
 
     /// Where agents head for by their actions, once all of them are available.
@@ -157,22 +164,30 @@ pub(super) fn open(choice: &Choice<'_>) -> Result<Routing, EnvironmentError> {
     let (sizes, of_set) = sizes(numbers).ok_or_else(|| {
         EnvironmentError::Set(format!(
             "no set `{set}`; there are numbers of customers from 1 to {CUSTOMERS}, such as `15`, and ranges, such as `5-15`, \
-             where there are not four vehicles with their number, such as `31x8`, and all may end with `{SEQUENTIAL}`: \
+             where there are not four vehicles with their number, such as `31x8`, or `50x1`, of one that drives all trips, and all may end with `{SEQUENTIAL}`: \
              vehicles leave the depot one by one"
         ))
     })?;
     let Settings { vehicles, capacity, wave_cost } = settings;
     let vehicles = of_set.unwrap_or(vehicles);
-    let usual = if *sizes.end() > USUAL { 30 } else { 25 };
+    let wave_cost = wave_cost.unwrap_or(if vehicles == 1 { 0.0 } else { 1.0 });
+    let of_size = SIZES.into_iter().find(|(customers, _)| sizes.end() <= customers);
+    let (customers, usual) = of_size.unwrap_or(SIZES[0]);
     let capacity = if capacity == 0 { usual } else { capacity };
     let refused = |reason: &str| Err(EnvironmentError::Setting(reason.to_string()));
     if !(1..=24).contains(&vehicles) {
         return refused("`vehicles` is from 1 to 24");
     }
+    let trips = match vehicles {
+        1 if customers == SIZES[0].0 => TRIPS,
+        1 => customers,
+        _ => vehicles,
+    };
     // Demands are 5 in the mean: what is drawn should not be drawn again too often.
-    if capacity < 9 || usize::from(capacity) * vehicles < 6 * sizes.end() {
+    if capacity < 9 || usize::from(capacity) * trips < 6 * sizes.end() {
         return refused(
-            "`capacity` is at least 9, and all vehicles together hold 6 for each customer",
+            "`capacity` is at least 9, and all vehicles together hold 6 for each customer, one alone in four trips where \
+             there are 15 or fewer",
         );
     }
     if !(0.0..=100.0).contains(&wave_cost) {
@@ -180,12 +195,11 @@ pub(super) fn open(choice: &Choice<'_>) -> Result<Routing, EnvironmentError> {
     }
     let wave_cost = if sequential { 0.0 } else { wave_cost };
     // Sets of alike numbers have the same shape, so that what learned on one plays on the others.
-    let customers = if *sizes.end() <= USUAL { USUAL } else { CUSTOMERS };
     let layout = Layout { vehicles, customers, sequential };
     let spec = spec(layout);
     let over = Tour::new(Instance::default(), vehicles, None);
     let tours = alloc::vec![over; choice.instances];
-    Ok(Routing { spec, layout, sizes, capacity, wave_cost, split: choice.split, tours })
+    Ok(Routing { spec, layout, sizes, trips, capacity, wave_cost, split: choice.split, tours })
 }
 
 /// The numbers of customers of a set, and the number of its vehicles where it tells that.
@@ -288,9 +302,8 @@ impl Environment for Routing {
     }
 
     fn rebuilt(&self, frame: &Frame<'_>) -> Option<Vec<u8>> {
-        let tour = rebuilt(frame, self.layout, self.capacity)?;
-        let state = postcard::to_extend(&tour, alloc::vec![LAYOUT]).ok()?;
-        self.read(&state).is_ok().then_some(state)
+        let tour = rebuilt(frame, self.layout, self.capacity).filter(|tour| self.knows(tour))?;
+        postcard::to_extend(&tour, alloc::vec![LAYOUT]).ok()
     }
 
     fn picture(&self, state: &[u8]) -> Picture {
@@ -320,7 +333,7 @@ impl Environment for Routing {
     }
 
     /// A customer is for one vehicle that may go there; the depot is for all.
-    fn offers(&self, state: &[u8], offers: &mut Vec<u32>) -> u32 {
+    fn offers(&self, state: &[u8], offers: &mut Vec<TaskSet>) -> TaskSet {
         let (tour, layout) = (&known(self.read(state)), self.layout);
         let depot = 1 << layout.task_of(0);
         offers.clear();

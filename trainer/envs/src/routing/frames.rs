@@ -12,7 +12,7 @@ use super::rules::{Scene, Standing};
 use super::tour::{Tour, Vehicle, Visit};
 use crate::decisions::UNASSIGNED;
 use crate::frame::{Frame, FrameError, FrameReader};
-use crate::observation::members;
+use crate::observation::{TaskSet, members};
 use crate::random::Random;
 
 /// A reader that has read nothing yet.
@@ -39,7 +39,7 @@ impl FrameReader for Reader {
         // Should no row show the depot, it is the last subtask, as everywhere.
         let depot = tasks.saturating_sub(1) as u8;
         let vehicles = alloc::vec![Standing::default(); agents];
-        self.scene = Scene { vehicles, depot, tasks, ..Scene::default() };
+        self.scene = Scene { vehicles, depot, ..Scene::default() };
         for entity in members(frame.present) {
             let row = row(frame, entity)?;
             let at = [f64::from(row[X]), f64::from(row[X + 1])];
@@ -49,7 +49,7 @@ impl FrameReader for Reader {
                     return Err(FrameError::BadRow { entity });
                 }
                 let heading = available[entity * (1 + tasks)..].iter().skip(1).take(tasks);
-                let offers = heading.rev().fold(0, |all, one| all << 1 | u32::from(*one != 0));
+                let offers = heading.rev().fold(0, |all, one| all << 1 | TaskSet::from(*one != 0));
                 self.scene.vehicles[entity] = Standing { at, is_out: !is(AT_DEPOT), offers };
                 continue;
             };

@@ -5,7 +5,7 @@ use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 
 use super::tour::Tour;
-use crate::observation::{EntitySet, Observation, members};
+use crate::observation::{ActionSet, EntitySet, Observation, TaskSet, members};
 use crate::rows::SparseRows;
 
 pub(super) const FEATURES: [&str; 14] = [
@@ -92,15 +92,15 @@ impl Layout {
     }
 
     /// The actions that a vehicle may take, whatever the others do.
-    pub(super) fn available(self, tour: &Tour, vehicle: usize) -> u64 {
+    pub(super) fn available(self, tour: &Tour, vehicle: usize) -> ActionSet {
         (0..tour.visits.len())
             .filter(|place| tour.may_go(vehicle, *place, self.sequential))
             .fold(1, |open, place| open | 1 << self.action_to(place))
     }
 
     /// The subtasks that a vehicle may head for, as bits.
-    pub(super) fn offers(self, tour: &Tour, vehicle: usize) -> u32 {
-        (self.available(tour, vehicle) >> 1) as u32
+    pub(super) fn offers(self, tour: &Tour, vehicle: usize) -> TaskSet {
+        self.available(tour, vehicle) >> 1
     }
 
     pub(super) fn observe(
@@ -120,7 +120,7 @@ impl Layout {
             let (entity, task) = (self.entity_of(place), self.task_of(place));
             seen.present |= 1 << entity;
             seen.entity_task[entity] = 1 << task;
-            seen.open_tasks |= u32::from(!tour.visits[place].is_done()) << task;
+            seen.open_tasks |= TaskSet::from(!tour.visits[place].is_done()) << task;
         }
         seen.entities = seen.present & wanted;
         seen.observable.clear();
@@ -128,55 +128,71 @@ impl Layout {
         seen.available.clear();
         seen.available.extend((0..self.vehicles).map(|vehicle| self.available(tour, vehicle)));
         seen.rows.clear();
+        let shown = Shown { tour, turn, waiting: share_that_waits(tour) };
         for entity in members(seen.entities) {
             match entity.checked_sub(self.vehicles) {
-                None => write_vehicle(tour, entity, turn, &mut seen.rows),
-                Some(task) => write_place(tour, self.place_of(task), turn, &mut seen.rows),
+                None => shown.write_vehicle(entity, &mut seen.rows),
+                Some(task) => shown.write_place(self.place_of(task), &mut seen.rows),
             }
             seen.rows.end_row();
         }
     }
 }
 
-/// A place as a symmetry of the square shows it.
+/// A place as a symmetry of the square shows it: four rotations, then those of its mirror image.
+///
+/// The half turn comes first: under it, whoever goes over the square one way goes the other way, so that few courses by the
+/// first two are long both times.
 fn turned([x, y]: [f64; 2], turn: usize) -> [f64; 2] {
-    let mirrored = |part: f64, is_mirrored| if is_mirrored { 1.0 - part } else { part };
-    let (x, y) = (mirrored(x, turn & 1 == 1), mirrored(y, turn & 2 == 2));
-    if turn & 4 == 4 { [y, x] } else { [x, y] }
-}
-
-/// The columns that every row has: its kind, and where it is.
-fn write_where(tour: &Tour, (kind, place): (usize, usize), turn: usize, rows: &mut SparseRows) {
-    let [x, y] = turned(tour.instance.places[place], turn);
-    rows.push(kind, 1.0);
-    rows.push_unless_zero(X, x as f32);
-    rows.push_unless_zero(X + 1, y as f32);
-    rows.push_unless_zero(5, tour.instance.distance(place, 0) as f32);
+    let is = |bit: usize| turn & bit == bit;
+    let mirrored = if is(4) { 1.0 - x } else { x };
+    let [x, y] = if is(2) { [1.0 - y, mirrored] } else { [mirrored, y] };
+    if is(1) { [1.0 - x, 1.0 - y] } else { [x, y] }
 }
 
 /// The share of all demands that waits.
-fn write_waiting(tour: &Tour, rows: &mut SparseRows) {
+fn share_that_waits(tour: &Tour) -> f32 {
     let demand = |place: usize| f32::from(tour.instance.demands[place]);
     let all: f32 = (0..tour.visits.len()).map(demand).sum();
-    rows.push_unless_zero(11, tour.waiting().map(demand).sum::<f32>() / all);
+    tour.waiting().map(demand).sum::<f32>() / all
 }
 
-fn write_vehicle(tour: &Tour, number: usize, turn: usize, rows: &mut SparseRows) {
-    let (vehicle, capacity) = (tour.vehicles[number], f32::from(tour.instance.capacity));
-    write_where(tour, (VEHICLE, vehicle.at.into()), turn, rows);
-    rows.push_unless_zero(LOAD, f32::from(vehicle.load) / capacity);
-    rows.push_unless_zero(8, f32::from(tour.room(number)) / capacity);
-    rows.push_unless_zero(AT_DEPOT, f32::from(u8::from(vehicle.at == 0)));
-    write_waiting(tour, rows);
-    rows.push_unless_zero(12, f32::from(tour.trips_to_come(None)));
-    rows.push_unless_zero(13, f32::from(tour.trips_to_come(Some(number))));
+/// A tour whose rows are written.
+struct Shown<'a> {
+    tour: &'a Tour,
+    turn: usize,
+    waiting: f32,
 }
 
-fn write_place(tour: &Tour, place: usize, turn: usize, rows: &mut SparseRows) {
-    let kind = if place == 0 { DEPOT } else { CUSTOMER };
-    write_where(tour, (kind, place), turn, rows);
-    let demand = f32::from(tour.instance.demands[place]) / f32::from(tour.instance.capacity);
-    rows.push_unless_zero(DEMAND, demand);
-    rows.push_unless_zero(SERVED, f32::from(u8::from(tour.visits[place].is_done())));
-    write_waiting(tour, rows);
+impl Shown<'_> {
+    fn write_vehicle(&self, number: usize, rows: &mut SparseRows) {
+        let tour = self.tour;
+        let (vehicle, capacity) = (tour.vehicles[number], f32::from(tour.instance.capacity));
+        self.write_where((VEHICLE, vehicle.at.into()), rows);
+        rows.push_unless_zero(LOAD, f32::from(vehicle.load) / capacity);
+        rows.push_unless_zero(8, f32::from(tour.room(number)) / capacity);
+        rows.push_unless_zero(AT_DEPOT, f32::from(u8::from(vehicle.at == 0)));
+        rows.push_unless_zero(11, self.waiting);
+        rows.push_unless_zero(12, f32::from(tour.trips_to_come(None)));
+        rows.push_unless_zero(13, f32::from(tour.trips_to_come(Some(number))));
+    }
+
+    fn write_place(&self, place: usize, rows: &mut SparseRows) {
+        let tour = self.tour;
+        let kind = if place == 0 { DEPOT } else { CUSTOMER };
+        self.write_where((kind, place), rows);
+        let demand = f32::from(tour.instance.demands[place]) / f32::from(tour.instance.capacity);
+        rows.push_unless_zero(DEMAND, demand);
+        rows.push_unless_zero(SERVED, f32::from(u8::from(tour.visits[place].is_done())));
+        rows.push_unless_zero(11, self.waiting);
+    }
+
+    /// The columns that every row has: its kind, and where it is.
+    fn write_where(&self, (kind, place): (usize, usize), rows: &mut SparseRows) {
+        let [x, y] = turned(self.tour.instance.places[place], self.turn);
+        rows.push(kind, 1.0);
+        rows.push_unless_zero(X, x as f32);
+        rows.push_unless_zero(X + 1, y as f32);
+        rows.push_unless_zero(5, self.tour.instance.distance(place, 0) as f32);
+    }
 }

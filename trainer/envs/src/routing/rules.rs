@@ -3,11 +3,13 @@
 use alloc::vec::Vec;
 
 use sortie_core::allocate::{Teams, cost};
+use sortie_core::limits::TASKS;
 
 use super::instance::distance;
 use super::observation::Layout;
 use super::tour::Tour;
 use crate::decisions::UNASSIGNED;
+use crate::observation::TaskSet;
 use crate::spec::Rule;
 
 pub(super) const RULES: &[Rule] = &[
@@ -34,8 +36,6 @@ pub(super) struct Scene {
     pub(super) waiting: Vec<(u8, [f64; 2])>,
     /// The subtask of going home.
     pub(super) depot: u8,
-    /// Number of subtasks, of which all those above are.
-    pub(super) tasks: usize,
 }
 
 /// A vehicle that waits for what it is to do.
@@ -44,7 +44,7 @@ pub(super) struct Standing {
     pub(super) at: [f64; 2],
     pub(super) is_out: bool,
     /// Subtasks that it may head for, as bits; none of a vehicle that is not there.
-    pub(super) offers: u32,
+    pub(super) offers: TaskSet,
 }
 
 impl Scene {
@@ -58,7 +58,6 @@ impl Scene {
             vehicles: (0..layout.vehicles).map(standing).collect(),
             waiting: tour.waiting().map(|at| (layout.task_of(at) as u8, place(at))).collect(),
             depot: layout.task_of(0) as u8,
-            tasks: layout.customers + 1,
         }
     }
 
@@ -100,22 +99,39 @@ impl Scene {
     }
 
     fn hungarian(&self, goals: &mut [u8]) {
-        let (agents, tasks) = (self.vehicles.len(), self.tasks);
-        let mut ways = alloc::vec![f32::INFINITY; agents * tasks];
-        for (vehicle, ways) in self.vehicles.iter().zip(ways.chunks_exact_mut(tasks.max(1))) {
-            for (task, at) in self.waiting.iter().filter(|(task, _)| vehicle.may(*task)) {
-                ways[usize::from(*task)] = distance(vehicle.at, *at) as f32;
+        let (agents, near) = (self.vehicles.len(), self.near());
+        let mut ways = alloc::vec![f32::INFINITY; agents * near.len()];
+        for (vehicle, ways) in self.vehicles.iter().zip(ways.chunks_exact_mut(near.len().max(1))) {
+            for ((_, at), way) in near.iter().zip(ways).filter(|((task, _), _)| vehicle.may(*task))
+            {
+                *way = distance(vehicle.at, *at) as f32;
             }
         }
-        let open_tasks = self.waiting.iter().fold(0, |open, (task, _)| open | 1 << task);
+        let open_tasks = (0..near.len()).fold(0, |open, column| open | 1 << column);
         let teams = Teams { agents, open_tasks, team_max: 1 };
         // It refuses more agents than there can be, and numbers that do not fit each other: then nobody leaves.
-        let _ = cost::hungarian(teams, tasks, &ways, &mut goals[..agents]);
+        let _ = cost::hungarian(teams, near.len(), &ways, &mut goals[..agents]);
+        for goal in &mut goals[..agents] {
+            *goal = near.get(usize::from(*goal)).map_or(UNASSIGNED, |(task, _)| *task);
+        }
         for vehicle in 0..agents {
             if goals[vehicle] == UNASSIGNED {
                 self.send_home(vehicle, goals);
             }
         }
+    }
+
+    /// Customers that wait, by their numbers; no more than there is room for, those with the shortest ways to anybody.
+    fn near(&self) -> Vec<(u8, [f64; 2])> {
+        let mut near = self.waiting.clone();
+        if near.len() > TASKS {
+            let ways = |at| self.vehicles.iter().map(move |vehicle| distance(vehicle.at, at));
+            let way = |at| ways(at).fold(f64::INFINITY, f64::min);
+            near.sort_by(|one, other| way(one.1).total_cmp(&way(other.1)));
+            near.truncate(TASKS);
+            near.sort_by_key(|(task, _)| *task);
+        }
+        near
     }
 
     /// Who is outside goes home while there are customers that nobody goes to: the last ones bring everybody home.

@@ -11,8 +11,8 @@ use crate::decisions::UNASSIGNED;
 use crate::random::generator;
 use crate::registry::Setting;
 use crate::{
-    EntitySet, Environment, Frame, FrameError, Observation, Rule, Split, StateError, conformance,
-    open,
+    EntitySet, Environment, Frame, FrameError, Observation, Rule, Shape, Split, StateError,
+    conformance, open,
 };
 
 #[derive(Deserialize)]
@@ -47,13 +47,17 @@ const ONE_BY_ONE: &str = "-sequential";
 
 /// An environment that plays this instance, by its own type.
 fn playing(instance: Instance, leaving: &str) -> Routing {
-    let settings = settings(&[("capacity", Setting::Whole(instance.capacity.into()))]);
-    let set = format!("{}{leaving}", instance.customers());
-    let choice =
-        crate::Choice { set: Some(&set), split: Split::Test, instances: 1, settings: &settings };
-    let mut routing = environment::open(&choice).unwrap();
+    let own = [("capacity", Setting::Whole(instance.capacity.into()))];
+    let mut routing = typed(&format!("{}{leaving}", instance.customers()), &own);
     routing.begin(0, instance);
     routing
+}
+
+fn typed(set: &str, own: &[(&str, Setting)]) -> Routing {
+    let settings = settings(own);
+    let choice =
+        crate::Choice { set: Some(set), split: Split::Test, instances: 1, settings: &settings };
+    environment::open(&choice).unwrap()
 }
 
 fn saved(routing: &dyn Environment) -> Vec<u8> {
@@ -71,7 +75,7 @@ fn told(routing: &dyn Environment, state: &[u8]) -> (Vec<f32>, Vec<u16>, Observa
         let row = &mut rows[entity * shape.features..][..shape.features];
         seen.rows.write_dense(seen.row_of(entity), row);
     }
-    let codes = |set: &u64| (0..shape.actions).map(|action| (*set >> action & 1) as u16).collect();
+    let codes = |set: &u128| (0..shape.actions).map(|action| (*set >> action & 1) as u16).collect();
     let available: Vec<Vec<u16>> = seen.available.iter().map(codes).collect();
     (rows, available.concat(), seen)
 }
@@ -182,6 +186,9 @@ fn nothing_is_shorter_than_the_optimum() {
 
 #[test]
 fn all_sets_hold_to_the_laws() {
+    for set in ["5-15x1", "50x8", "100x1"] {
+        assert_eq!(conformance::check(&*opened(set, &[]), 3, 4), Ok(()), "{set}");
+    }
     for set in ["5-15", "1", "10", "20", "31"] {
         for leaving in [TOGETHER, ONE_BY_ONE] {
             for vehicles in [4, 24] {
@@ -211,7 +218,7 @@ fn rules_give_the_same_from_a_state_and_from_its_rows() {
                     agents: 4,
                     tasks: 16,
                     present,
-                    open_tasks,
+                    open_tasks: open_tasks as u32,
                     available: &available,
                 };
                 let (mut own, mut read) = ([0; 4], [0; 6]);
@@ -256,7 +263,7 @@ fn tours_are_rebuilt_from_their_rows() {
                     agents,
                     tasks,
                     present,
-                    open_tasks,
+                    open_tasks: open_tasks as u32,
                     available: &available,
                 };
                 // Others than this environment's, and what no tour comes to: a vehicle is laden beyond what it holds.
@@ -335,7 +342,7 @@ fn rules_stand_frames_without_a_depot_with_several_and_without_subtasks() {
     let mut routing = opened("9", &[]);
     routing.reset(0, &mut generator(5));
     let (mut rows, available, seen) = told(&*routing, &saved(&*routing));
-    let (present, open_tasks) = (seen.present, seen.open_tasks);
+    let (present, open_tasks) = (seen.present, seen.open_tasks as u32);
     let frame = Frame {
         rows: &rows.clone(),
         stride: FEATURES.len(),
@@ -390,7 +397,7 @@ fn open_places(routing: &Routing) -> Vec<Vec<usize>> {
     routing.observe(&saved(routing), 0, EntitySet::MAX, &mut seen);
     let layout =
         Layout { vehicles: 4, customers: routing.spec().shape.tasks - 1, sequential: true };
-    let places = |open: &u64| {
+    let places = |open: &u128| {
         (0..=layout.customers).filter(|place| open >> layout.action_to(*place) & 1 == 1).collect()
     };
     seen.available.iter().map(places).collect()
@@ -459,6 +466,7 @@ fn while_learning_waves_after_the_first_cost_something() {
     let (costs, waves) = return_of(Split::Train, "15");
     assert!(waves > 1.0 && (costs - (1.0 - waves)).abs() < 1e-9, "{costs}, {waves} waves");
     assert_eq!(return_of(Split::Test, "15").0, 0.0);
+    assert_eq!(return_of(Split::Train, "15x1").0, 0.0, "trips of one vehicle are no waves");
     assert_eq!(return_of(Split::Train, "15-sequential").0, 0.0);
 }
 
@@ -485,6 +493,10 @@ fn symmetries_turn_the_square_and_nothing_else() {
         assert!(!shown.contains(&turned), "turn {turn} is another one");
         shown.push(turned);
     }
+    // The half turn comes first: whoever looks twice looks by it.
+    for (one, other) in plain.chunks(FEATURES.len()).zip(shown[1].chunks(FEATURES.len())) {
+        assert!([3, 4].iter().all(|part| (one[*part] + other[*part] - 1.0).abs() < 1e-6));
+    }
 }
 
 #[test]
@@ -503,7 +515,7 @@ fn what_cannot_be_set_is_refused_and_named() {
         let opened = open(&format!("routing/{set}"), Split::Train, 1, &settings(own));
         opened.map(drop).unwrap_err().to_string()
     };
-    for set in ["0", "32", "5-", "15-5", "-", "many", "5-15-20", "-sequential", "15x", "x4"] {
+    for set in ["0", "101", "5-", "15-5", "-", "many", "5-15-20", "-sequential", "15x", "x4"] {
         assert!(refused(set, &[]).starts_with(&format!("no set `{set}`; there are")), "{set}");
     }
     assert!(refused("5", &[("vehicles", Setting::Whole(25))]).contains("from 1 to 24"));
@@ -511,12 +523,60 @@ fn what_cannot_be_set_is_refused_and_named() {
     assert!(
         refused("31", &[]).contains("`capacity`") && opened("31x8", &[]).spec().shape.agents == 8
     );
-    for (vehicles, capacity) in [(4, 8), (1, 60)] {
+    for (set, customers, capacity) in
+        [("15x1", 15, 25), ("16x1", 31, 30), ("50x1", 50, 40), ("99-100x1", 100, 50)]
+    {
+        let routing = typed(set, &[]);
+        let Shape { agents, tasks, .. } = routing.spec().shape;
+        assert_eq!((agents, tasks), (1, customers + 1), "{set}");
+        assert_eq!(routing.measured(15, 0).capacity, capacity, "{set}");
+    }
+    for (vehicles, capacity) in [(4, 8), (1, 22)] {
         let own = [("vehicles", Setting::Whole(vehicles)), ("capacity", Setting::Whole(capacity))];
         assert!(refused("15", &own).contains("`capacity` is at least 9"), "{vehicles}");
     }
     assert!(refused("5", &[("wave_cost", Setting::Number(-1.0))]).contains("from 0 to 100"));
     assert!(refused("5", &[("waves", Setting::Whole(1))]).contains("unknown field `waves`"));
+}
+
+/// The same instances as four vehicles have, whose optimum is of four trips; a rule that sends one of the four drives alike.
+#[test]
+fn one_vehicle_alone_drives_all_trips() {
+    let [four, one] = ["13-sequential", "13x1"].map(|set| {
+        let mut routing = typed(set, &[]);
+        let mut lengths = Vec::new();
+        for number in 0..20 {
+            let instance = routing.measured(13, number);
+            routing.begin(0, instance.clone());
+            follow(&mut routing, 0);
+            let episode = routing.episode(0);
+            lengths.push((instance, episode.metrics[0], episode.episode_return));
+        }
+        lengths
+    });
+    assert_eq!(four, one);
+    assert!(one.iter().all(|(_, over_optimum, _)| over_optimum.is_some_and(|over| over >= 1.0)));
+}
+
+/// A hundred customers are a hundred and one subtasks: sets of them are wider than those of messages, and every rule serves all.
+#[test]
+fn a_hundred_customers_are_served_by_every_rule() {
+    for (set, vehicles) in [("100x1", 1), ("100x24", 24)] {
+        let mut routing = typed(set, &[]);
+        for rule in 0..routing.spec().rules.len() {
+            let instance = routing.measured(100, rule);
+            routing.begin(0, instance);
+            let (mut offers, mut seen) = (Vec::new(), Observation::default());
+            let state = saved(&routing);
+            assert_eq!(routing.offers(&state, &mut offers).count_ones(), 100);
+            routing.observe(&state, 0, EntitySet::MAX, &mut seen);
+            assert_eq!((seen.tasks(), seen.rows.len()), (101, vehicles + 101));
+            assert_eq!(offers, vec![seen.open_tasks; vehicles], "everybody may go everywhere");
+            follow(&mut routing, rule);
+            let episode = routing.episode(0);
+            assert!(episode.done && episode.metrics[0].is_none(), "{set} {rule}");
+        }
+    }
 }
 
 #[test]

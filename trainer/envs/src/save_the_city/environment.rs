@@ -22,7 +22,7 @@ use super::{Constants, VERSION};
 use crate::bytes::known;
 use crate::entry::{Choice, Entry, EnvironmentError};
 use crate::environment::{Environment, Episode, Split, StateError, Step, StepError};
-use crate::observation::{AgentSet, EntitySet, Observation, members};
+use crate::observation::{AgentSet, EntitySet, Observation, TaskSet, members};
 use crate::picture::Picture;
 use crate::random::{Random, below};
 use crate::rows::SparseRows;
@@ -178,14 +178,14 @@ impl Environment for SaveTheCity {
         seen.observable[agents..].fill(0);
         seen.entity_task.resize(entities, 0);
         for (task, tasks) in seen.entity_task[max_agents..].iter_mut().enumerate() {
-            *tasks = u32::from(task < buildings) << task;
+            *tasks = TaskSet::from(task < buildings) << task;
         }
         seen.available.resize(max_agents, 1);
         for (index, available) in seen.available[..agents].iter_mut().enumerate() {
             *available = turn.available(state.available(index)).into();
         }
         seen.available[agents..].fill(1);
-        seen.open_tasks = state.open_tasks();
+        seen.open_tasks = state.open_tasks().into();
 
         seen.rows.clear();
         for entity in members(seen.entities) {

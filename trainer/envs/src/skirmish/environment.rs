@@ -153,8 +153,7 @@ fn open(choice: &Choice<'_>) -> Result<Skirmish, EnvironmentError> {
     if !(0.0..=10.0).contains(&settings.own_losses) {
         return Err(EnvironmentError::Setting("`own_losses` is from 0 to 10".to_string()));
     }
-    let fits = |scenario: &Scenario| ORDERS + scenario.targets() <= Shape::ACTIONS;
-    let scenario = Scenario::named(set, settings.extra_seed).filter(fits).ok_or_else(|| {
+    let scenario = Scenario::named(set, settings.extra_seed).ok_or_else(|| {
         EnvironmentError::Set(format!(
             "no set `{set}`; there are {}, and teams such as `2s3z` or `5m_vs_6m` of c (colossi), M (marauders), m (marines), \
              d (medivacs), s (stalkers), z (zealots), together at most {CAPACITY}, in the open or with `-symmetric` or \

@@ -271,7 +271,7 @@ impl Layout {
             let army = battle.units[unit].army;
             seen.entity_task[entity(unit)] = if army == NOBODY { 0 } else { 1 << army };
         }
-        seen.open_tasks = armies.open();
+        seen.open_tasks = armies.open().into();
         seen.rows.clear();
         let attackers = encounter.attackers(self.intents);
         for unit in members(seen.entities).filter_map(|entity| self.unit(battle, entity)) {

@@ -69,12 +69,6 @@ impl Scenario {
         self.teams.iter().any(|[allies, _]| allies.contains(&MEDIVAC))
     }
 
-    /// Whom actions can be aimed at.
-    pub(super) fn targets(&self) -> usize {
-        let [allies, enemies] = self.most();
-        enemies + if self.has_healers() { allies } else { 0 }
-    }
-
     /// Units of an army at most.
     fn army_size(&self) -> usize {
         self.most()[1].div_ceil(ARMIES).max(4)

@@ -3,11 +3,10 @@
 use alloc::vec;
 use alloc::vec::Vec;
 
-use super::battle::{ATTACK, Battle, SIDE};
+use super::battle::{Battle, SIDE};
 use super::units::TYPES;
 use crate::battles::{CAPACITY, Point, Team, meeting};
 use crate::random::{Random, below, chance, unit};
-use crate::spec::Shape;
 
 /// Letters of types in the names of teams; published ones have no zerglings.
 pub(super) const LETTERS: [char; TYPES] = ['m', 'M', 's', 'z', 'l', 'h'];
@@ -40,8 +39,7 @@ impl Roster {
         };
         let roster = Self { teams, is_drawn: drawn.is_some() };
         let [allies, enemies] = roster.most();
-        let fits = allies.min(enemies) > 0 && allies + enemies <= CAPACITY;
-        (fits && usize::from(ATTACK) + enemies <= Shape::ACTIONS).then_some(roster)
+        (allies.min(enemies) > 0 && allies + enemies <= CAPACITY).then_some(roster)
     }
 
     /// Units of the largest teams.

@@ -15,7 +15,7 @@ use crate::error::Result;
 /// The available action of the highest utility, the first of several.
 pub fn best(utilities: &[f32], available: ActionSet) -> usize {
     let mut best = available.trailing_zeros() as usize;
-    for action in members(available.into()) {
+    for action in members(available) {
         if utilities[action] > utilities[best] {
             best = action;
         }
@@ -26,7 +26,7 @@ pub fn best(utilities: &[f32], available: ActionSet) -> usize {
 /// The softmax of the scores of those actions that are available; 0 for all others.
 pub fn chances(scores: &[f32], available: ActionSet) -> Vec<f32> {
     let mut chances = vec![f32::NEG_INFINITY; scores.len()];
-    for action in members(available.into()) {
+    for action in members(available) {
         chances[action] = scores[action];
     }
     softmax::forward(&mut chances);
@@ -114,7 +114,7 @@ impl Acting {
         self.decide(network, actions, |team, best, available| {
             let (epsilon, random) = &mut teams[team];
             if chance(random, (*epsilon).into()) {
-                member(random, available.into()).unwrap_or(best)
+                member(random, available).unwrap_or(best)
             } else {
                 best
             }

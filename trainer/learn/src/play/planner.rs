@@ -114,7 +114,7 @@ impl<'a> Planner<'a> {
         let mut changed = allocation.to_vec();
         for task in &mut changed[..seen.agents()] {
             if chance(&mut self.random, MOVED)
-                && let Some(open) = member(&mut self.random, seen.open_tasks.into())
+                && let Some(open) = member(&mut self.random, seen.open_tasks)
             {
                 *task = open as u8;
             }

@@ -85,7 +85,7 @@ impl Act for RandomTeam {
         for (scene, actions) in scenes.scenes.iter().zip(actions.chunks_exact_mut(agents)) {
             scenes.environment.observe(scene.state, 0, 0, &mut self.seen);
             for (action, available) in actions.iter_mut().zip(&self.seen.available) {
-                *action = member(&mut self.random, (*available).into()).unwrap_or(0) as u16;
+                *action = member(&mut self.random, *available).unwrap_or(0) as u16;
             }
         }
         Ok(())

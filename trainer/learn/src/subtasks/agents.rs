@@ -2,7 +2,7 @@
 
 use sortie_core::policy::{NO_ACTION as NO_ACTION_YET, Observation, Policy, visible};
 use sortie_core::{DecideError, EntityMask};
-use sortie_envs::{Random, UNASSIGNED};
+use sortie_envs::{Random, UNASSIGNED, deployed_tasks};
 
 use super::allocators::tell_allocation;
 use super::{Agents, AllocatedScene, NO_ACTION};
@@ -31,7 +31,8 @@ impl MaskedViews {
             |action: &u8| if *action == NO_ACTION { NO_ACTION_YET } else { (*action).into() };
         self.last_actions.clear();
         self.last_actions.extend(scene.last_actions[..agents].iter().map(widen));
-        self.entity_task.clone_from(&seen.entity_task);
+        self.entity_task.clear();
+        self.entity_task.extend(seen.entity_task.iter().copied().map(deployed_tasks));
         tell_allocation(&mut self.entity_task, &scene.allocation[..agents]);
         let subtask = |task: &u8| (*task != UNASSIGNED).then_some(*task);
         self.subtasks.clear();

@@ -2,7 +2,9 @@
 
 use sortie_bundle::OwnedAllocationState;
 use sortie_core::{Allocator, EntityMask};
-use sortie_envs::{EntitySet, Environment, Observation, Shape, Spec, UNASSIGNED, members};
+use sortie_envs::{
+    EntitySet, Environment, Observation, Shape, Spec, UNASSIGNED, deployed_tasks, members,
+};
 
 use super::{Allocate, ToAllocate};
 use crate::act::codes;
@@ -64,10 +66,20 @@ impl Allocate for DeployedAllocator<'_> {
 /// All that an allocator sees, under a symmetry of the rules, of a state in which an allocation was in force.
 pub fn allocation_state_turned(
     environment: &dyn Environment,
-    (state, in_force): (&[u8], &[u8]),
+    before: (&[u8], &[u8]),
     turn: usize,
 ) -> OwnedAllocationState {
-    let mut state = told(environment, state, turn);
+    allocation_state_within(environment, before, turn, &mut Observation::default())
+}
+
+/// The same, by way of an observation whose room is used again.
+pub fn allocation_state_within(
+    environment: &dyn Environment,
+    (state, in_force): (&[u8], &[u8]),
+    turn: usize,
+    seen: &mut Observation,
+) -> OwnedAllocationState {
+    let mut state = told(environment, state, turn, seen);
     tell_allocation(&mut state.entity_task, &in_force[..state.agents]);
     state
 }
@@ -81,14 +93,18 @@ pub(super) fn tell_allocation(entity_task: &mut [u32], allocation: &[u8]) {
 
 /// All that an allocator sees of a state; agents come without their last allocation.
 pub fn allocation_state(environment: &dyn Environment, state: &[u8]) -> OwnedAllocationState {
-    told(environment, state, 0)
+    told(environment, state, 0, &mut Observation::default())
 }
 
-fn told(environment: &dyn Environment, state: &[u8], turn: usize) -> OwnedAllocationState {
+fn told(
+    environment: &dyn Environment,
+    state: &[u8],
+    turn: usize,
+    seen: &mut Observation,
+) -> OwnedAllocationState {
     let Shape { features, actions, .. } = environment.spec().shape;
-    let mut seen = Observation::default();
-    environment.observe(state, turn, EntitySet::MAX, &mut seen);
-    let mut rows = Vec::new();
+    environment.observe(state, turn, EntitySet::MAX, seen);
+    let mut rows = Vec::with_capacity(seen.rows.len() * features);
     seen.rows.write_all(features, &mut rows);
     let mut present = EntityMask::first(seen.rows.len());
     members(seen.absent.into()).for_each(|agent| present.remove(agent));
@@ -99,8 +115,10 @@ fn told(environment: &dyn Environment, state: &[u8], turn: usize) -> OwnedAlloca
         rows,
         features,
         present,
-        entity_task: members(seen.present).map(|entity| seen.entity_task[entity]).collect(),
-        open_tasks: seen.open_tasks,
+        entity_task: members(seen.present)
+            .map(|entity| deployed_tasks(seen.entity_task[entity]))
+            .collect(),
+        open_tasks: deployed_tasks(seen.open_tasks),
         available: team.iter().flat_map(|set| codes(*set, actions)).collect(),
     }
 }

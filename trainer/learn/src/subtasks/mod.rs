@@ -5,6 +5,7 @@
 //! shows or deploys them pairs the agents with an allocator, the learned one or any other, in an [`AllocatedTeam`].
 
 mod agents;
+mod ahead;
 mod allocators;
 mod places;
 mod symmetries;
@@ -17,8 +18,10 @@ use crate::error::Result;
 use crate::export::{AttentionNetwork, ExportError};
 
 pub use agents::{MaskedViews, PolicyAgents, ScriptedAgents};
+pub use ahead::LookingAhead;
 pub use allocators::{
     DeployedAllocator, NoSubtasks, RuleAllocator, allocation_state, allocation_state_turned,
+    allocation_state_within,
 };
 pub use places::{Place, Places};
 pub use symmetries::{AllocateTurned, Course, best_course};

@@ -21,8 +21,8 @@ pub trait AllocateTurned {
     ) -> Result<Vec<u8>>;
 }
 
-/// The states of an episode from one on, and what is given in each.
-pub type Course = VecDeque<(Vec<u8>, Vec<u8>)>;
+/// States of an episode from one on, and what is given in each.
+pub type Course<S = Vec<u8>> = VecDeque<(S, Vec<u8>)>;
 
 /// The course that earns most, of one under each of so many symmetries; of equals the first. Agents do as their environment's
 /// script says.

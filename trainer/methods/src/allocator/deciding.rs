@@ -2,7 +2,7 @@
 
 use sortie_core::allocate::pointing::Round;
 use sortie_envs::random::unit;
-use sortie_envs::{EntitySet, Environment, Observation, Random, UNASSIGNED, members};
+use sortie_envs::{EntitySet, Environment, Observation, Random, TaskSet, UNASSIGNED, members};
 use sortie_learn::networks::{chances, drawn};
 use sortie_nn::tape::Tape;
 
@@ -45,7 +45,7 @@ impl Subtasks {
     }
 
     /// Tasks by their places here.
-    fn places(&self, tasks: u32) -> impl Iterator<Item = usize> + '_ {
+    fn places(&self, tasks: TaskSet) -> impl Iterator<Item = usize> + '_ {
         let place = move |(place, task): (usize, &u8)| (tasks >> task & 1 == 1).then_some(place);
         self.tasks.iter().enumerate().filter_map(place)
     }
@@ -57,10 +57,10 @@ struct Team {
     /// `[A, d]`
     rows: Vec<f32>,
     /// `[A]`: what each agent can be given.
-    offers: Vec<u32>,
+    offers: Vec<TaskSet>,
     /// Subtasks for one agent alone.
-    exclusive: u32,
-    open: u32,
+    exclusive: TaskSet,
+    open: TaskSet,
     before: Vec<u8>,
     allocation: Vec<u8>,
 }
@@ -80,7 +80,7 @@ impl Team {
         Self { rows, offers, exclusive, open, before, allocation }
     }
 
-    fn round(&self) -> Round<'_> {
+    fn round(&self) -> Round<'_, TaskSet> {
         let columns = self.rows.len() / self.offers.len();
         let Self { rows, offers, exclusive, open, before, allocation } = self;
         let (exclusive, open) = (*exclusive, *open);
@@ -90,7 +90,7 @@ impl Team {
     /// Describes a decision about an agent that has these options.
     fn describe(
         &self,
-        (agent, options): (usize, u32),
+        (agent, options): (usize, TaskSet),
         subtasks: &Subtasks,
         decisions: &mut Decisions,
     ) {
@@ -188,7 +188,7 @@ impl Group {
         &mut self,
         network: (&Network, &[f32]),
         seen: Seen<'_>,
-        mut choose: impl FnMut(&[f32], u32) -> usize,
+        mut choose: impl FnMut(&[f32], TaskSet) -> usize,
     ) -> Vec<Vec<u8>> {
         let mut teams = self.teams(seen);
         for agent in 0..seen.environment.spec().shape.agents {
@@ -278,7 +278,7 @@ impl Group {
             let subtasks = &self.subtasks;
             for (decision, (state, count, team)) in deciding.into_iter().enumerate() {
                 let scores = &scores[decision * subtasks.len()..][..subtasks.len()];
-                let chances = chances(scores, self.now.offered[decision].into());
+                let chances = chances(scores, self.now.offered[decision]);
                 let mut drawn_times = vec![0; subtasks.len()];
                 (0..count).for_each(|_| drawn_times[drawn(&chances, unit(random) as f32)] += 1);
                 for (place, count) in

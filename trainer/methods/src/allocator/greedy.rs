@@ -43,8 +43,7 @@ impl AllocateTurned for Looks<'_> {
         group.made.clear();
         let asked = Asked { episode: 0, state, before: in_force };
         let seen = Seen { environment, turn, states: &[asked] };
-        let given =
-            group.allocate(self.network, seen, |scores, offered| best(scores, offered.into()));
+        let given = group.allocate(self.network, seen, best);
         Ok(given.into_iter().flatten().collect())
     }
 }

@@ -110,7 +110,7 @@ pub(super) fn loss(
     let mut slopes = Vec::with_capacity(made.len() * columns);
     let mut reported = 0.0;
     for (decision, scores) in pass.values(scores).chunks_exact(columns).enumerate() {
-        let chances = chances(scores, made.offered[decision].into());
+        let chances = chances(scores, made.offered[decision]);
         let logarithm = |chance: f32| if chance > 0.0 { chance.ln() } else { 0.0 };
         let disorder: f32 = chances.iter().map(|chance| -chance * logarithm(*chance)).sum();
         let (advantage, chosen) = (advantages[made.episodes[decision]], made.chosen[decision]);
@@ -160,8 +160,8 @@ impl Method for Allocator {
             });
             let asked: Vec<Asked<'_>> = asked.collect();
             let seen = Seen { environment, turn: 0, states: &asked };
-            let given = group
-                .allocate(network, seen, |scores, offered| draw(scores, offered.into(), random));
+            let given =
+                group.allocate(network, seen, |scores, offered| draw(scores, offered, random));
             for ((scene, actions), allocation) in scenes.iter_mut().zip(given) {
                 environment.scripted(scene.state, &allocation, random, actions);
                 in_force[own(scene.instance)].copy_from_slice(&allocation);

@@ -2,6 +2,7 @@
 //! Kool et al. 2019, with the other agents and what they were given in its sight).
 
 use sortie_core::allocate::pointing::Round;
+use sortie_envs::TaskSet;
 use sortie_learn::LearnError;
 use sortie_learn::configuration::require;
 use sortie_nn::layers::VisibleLists;
@@ -105,7 +106,7 @@ pub(super) struct Decisions {
     /// Subtasks that are left, and, counted behind all subtasks, the other agents.
     pub(super) seen: VisibleLists,
     /// What could be chosen, as bits by places of subtasks.
-    pub(super) offered: Vec<u32>,
+    pub(super) offered: Vec<TaskSet>,
     /// The places of those that were.
     pub(super) chosen: Vec<usize>,
     /// Whose episodes they belong to.

@@ -11,6 +11,7 @@ pub mod records;
 pub mod teams;
 pub mod windows;
 
+use sortie_core::limits::TASKS;
 use sortie_envs::{Spec, View};
 use sortie_learn::configuration::{Section, check_table};
 use sortie_learn::run::RunConfig;
@@ -223,6 +224,9 @@ fn suit(preset: &str, setup: &mut Setup, spec: &Spec) {
 fn misfit(spec: &Spec) -> Option<&'static str> {
     if spec.shape.tasks == 0 || !spec.rewards.tasks {
         return Some("it has no subtasks with rewards of their own");
+    }
+    if spec.shape.tasks > TASKS {
+        return Some("it has more than 32 subtasks, which the method `allocator` alone learns");
     }
     spec.rules.is_empty().then_some("it has no rule of allocation that stands in at first")
 }

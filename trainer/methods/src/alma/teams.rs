@@ -181,7 +181,7 @@ impl Players {
             }
             let (available, generator) = (seen.available[agent], &mut random[world]);
             let action = if chance(generator, epsilon(world).into()) {
-                member(generator, available.into()).unwrap_or(0)
+                member(generator, available).unwrap_or(0)
             } else {
                 best(utilities, available)
             };

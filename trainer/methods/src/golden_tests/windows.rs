@@ -39,7 +39,8 @@ pub(crate) fn windows(case: &Case) -> Windows {
     let member = no("in/entity2task_mask");
     windows.entity_task = member.chunks(shape.tasks).map(task_of).collect();
     windows.open = no("in/task_mask");
-    let open = |codes: &[f64]| (0..).zip(codes).map(|(u, code)| u64::from(*code != 0.0) << u).sum();
+    let open =
+        |codes: &[f64]| (0..).zip(codes).map(|(u, code)| u128::from(*code != 0.0) << u).sum();
     windows.available = numbers("in/avail_actions").chunks(shape.actions).map(open).collect();
     windows.actions = numbers("in/actions").iter().map(|v| *v as u8).collect();
     windows.decision = yes("in/hier_decision");

@@ -400,7 +400,7 @@ mod tests {
         city.save(0, &mut state);
         for _ in 0..40 {
             city.observe(&state, 0, EntitySet::MAX, &mut seen);
-            let any = |open: &u64| member(&mut random, (*open).into()).unwrap_or(0) as u16;
+            let any = |open: &u128| member(&mut random, *open).unwrap_or(0) as u16;
             let actions: Vec<u16> = seen.available.iter().map(any).collect();
             let step = city.step(0, &actions, &mut random).unwrap();
             next.clear();

@@ -65,8 +65,8 @@ fn seen(hidden: u8) -> EntitySet {
 }
 
 /// Waiting, and the trees that are to be seen.
-fn available(hidden: u8) -> u64 {
-    1 | (seen(hidden) as u64 >> PICKERS) << 1
+fn available(hidden: u8) -> u128 {
+    1 | (seen(hidden) >> PICKERS) << 1
 }
 
 /// A ripe tree and a hidden one, which are two.

@@ -258,8 +258,8 @@ fn weights(case: &Case, prefix: &str, present: f32) -> [Vec<f32>; 2] {
 }
 
 /// The actions that a row of availability leaves open.
-fn available(row: &[f64]) -> u64 {
-    row.iter().enumerate().map(|(at, open)| u64::from(*open != 0.0) << at).sum()
+fn available(row: &[f64]) -> u128 {
+    row.iter().enumerate().map(|(at, open)| u128::from(*open != 0.0) << at).sum()
 }
 
 /// Adds a recorded episode to others, as the one at a place of theirs.

@@ -11,7 +11,7 @@ mod round;
 
 #[cfg(feature = "alloc")]
 pub use memory::PointingMemory;
-pub use round::Round;
+pub use round::{Round, TaskBits};
 
 use super::members;
 use crate::allocator::{AllocateError, AllocationState, Allocator, UNASSIGNED};

@@ -1,13 +1,35 @@
 //! One agent after the other is given a subtask: what it can still be given, and what it knows of all others by then.
 
+use core::ops::{BitAnd, BitOr, Not};
+
 use crate::allocator::UNASSIGNED;
 
 /// What one more subtask that is left adds to their sum, so that it is about 1.
 const SUM_SCALE: f32 = 0.2;
 
+/// Subtasks as bits: 32 of them in messages and plans, more where they are learned.
+pub trait TaskBits:
+    Copy + PartialEq + Default + BitAnd<Output = Self> + BitOr<Output = Self> + Not<Output = Self>
+{
+    /// A subtask as a set; none where nobody was given it, or there is no room for it.
+    fn one(task: u8) -> Self;
+}
+
+impl TaskBits for u32 {
+    fn one(task: u8) -> Self {
+        1_u32.checked_shl(task.into()).unwrap_or(0)
+    }
+}
+
+impl TaskBits for u128 {
+    fn one(task: u8) -> Self {
+        1_u128.checked_shl(task.into()).unwrap_or(0)
+    }
+}
+
 /// A team that is being allocated, in the order of its agents' numbers.
 #[derive(Clone, Copy, Debug)]
-pub struct Round<'a> {
+pub struct Round<'a, S = u32> {
     /// The agents' rows `[A, stride]`, of which the first `columns` count.
     pub rows: &'a [f32],
     /// Columns from a row to the next.
@@ -15,39 +37,49 @@ pub struct Round<'a> {
     /// Columns d of a row that count.
     pub columns: usize,
     /// `[A]`: the subtasks that each agent can be given, as bits; none where it does not act.
-    pub offers: &'a [u32],
+    pub offers: &'a [S],
     /// Subtasks that one agent alone can be given.
-    pub exclusive: u32,
+    pub exclusive: S,
     /// Subtasks that are not finished.
-    pub open: u32,
+    pub open: S,
     /// `[A]`: what agents had before; [`UNASSIGNED`] where that is nothing.
     pub before: &'a [u8],
     /// `[A]`: what they were given now; [`UNASSIGNED`] where that is nothing yet.
     pub allocation: &'a [u8],
 }
 
-impl<'a> Round<'a> {
+impl Round<'_> {
+    /// Columns of a [description](Self::describe) where agents have so many columns, and subtasks so many.
+    pub const fn context(columns: usize, subtask: usize) -> usize {
+        3 * columns + 1 + subtask
+    }
+}
+
+impl<'a, S: TaskBits> Round<'a, S> {
     /// Subtasks that are not finished, but for those that somebody was given alone.
-    pub fn left(&self) -> u32 {
-        let given = self.allocation.iter().fold(0, |given, task| given | bit(*task));
+    pub fn left(&self) -> S {
+        let none = S::default();
+        let given = self.allocation.iter().fold(none, |given, task| given | S::one(*task));
         self.open & !(given & self.exclusive)
     }
 
     /// What an agent can still be given. Of agents that are alike the first ones are given what one alone can have: whoever
     /// comes after one that was not leaves it, which loses no allocation but the same with names exchanged.
-    pub fn options(&self, agent: usize) -> u32 {
+    pub fn options(&self, agent: usize) -> S {
+        let none = S::default();
         let options = self.offer(agent) & self.left();
         let shared = options & !self.exclusive;
         let mut earlier = self.allocation.iter().take(agent).enumerate();
         let has_twin = earlier.any(|(twin, task)| {
-            bit(*task) & !self.exclusive != 0 && self.row(twin) == self.row(agent)
+            S::one(*task) & !self.exclusive != none && self.row(twin) == self.row(agent)
         });
-        if has_twin && shared != 0 { shared } else { options }
+        if has_twin && shared != none { shared } else { options }
     }
 
     /// The agents that act, but for one.
     pub fn others(self, agent: usize) -> impl Iterator<Item = usize> + Clone + 'a {
-        (0..self.offers.len()).filter(move |other| *other != agent && self.offer(*other) != 0)
+        (0..self.offers.len())
+            .filter(move |other| *other != agent && self.offer(*other) != S::default())
     }
 
     /// What an agent was given last, now or before.
@@ -68,11 +100,6 @@ impl<'a> Round<'a> {
         let Some((chosen, row)) = to.split_last_mut() else { return };
         row.iter_mut().zip(self.row(other)).for_each(|(to, value)| *to = *value);
         *chosen = if other < agent { 1.0 } else { 0.0 };
-    }
-
-    /// Columns of a [description](Self::describe) where agents have so many columns, and subtasks so many.
-    pub const fn context(columns: usize, subtask: usize) -> usize {
-        3 * columns + 1 + subtask
     }
 
     /// Writes what is known in a decision about an agent: its row, means of those that
@@ -113,12 +140,7 @@ impl<'a> Round<'a> {
         }
     }
 
-    fn offer(&self, agent: usize) -> u32 {
-        self.offers.get(agent).copied().unwrap_or(0)
+    fn offer(&self, agent: usize) -> S {
+        self.offers.get(agent).copied().unwrap_or_default()
     }
-}
-
-/// A subtask as a set; none where nobody was given it.
-fn bit(task: u8) -> u32 {
-    1_u32.checked_shl(task.into()).unwrap_or(0)
 }

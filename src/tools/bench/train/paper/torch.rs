@@ -220,7 +220,7 @@ impl Tensors {
             windows.features.row(row).for_each(|(column, value)| values[column] = value);
         }
         let open =
-            |set: &u64| (0..actions).map(|action| set >> action & 1 == 1).collect::<Vec<_>>();
+            |set: &u128| (0..actions).map(|action| set >> action & 1 == 1).collect::<Vec<_>>();
         let available: Vec<bool> = windows.available.iter().flat_map(open).collect();
         let taken: Vec<i64> = windows.actions.iter().map(|action| i64::from(*action)).collect();
         let name = |part: &str| format!("batch.{part}");

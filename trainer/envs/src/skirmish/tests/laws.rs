@@ -283,7 +283,7 @@ fn rules_find_the_same_in_frames() {
         skirmish.reset(0, &mut random);
         let state = saved(&*skirmish);
         let (rows, seen) = rows_of(&*skirmish, &state);
-        let (stride, open_tasks) = (skirmish.spec().shape.features, seen.open_tasks);
+        let (stride, open_tasks) = (skirmish.spec().shape.features, seen.open_tasks as u32);
         let present = seen.present & !EntitySet::from(seen.absent);
         let frame =
             Frame { rows: &rows, stride, agents: 4, tasks: 3, present, open_tasks, available: &[] };
@@ -325,7 +325,7 @@ fn relations_are_read_back_from_frames() {
         while !skirmish.episode(0).done {
             let state = saved(&*skirmish);
             let (rows, seen) = rows_of(&*skirmish, &state);
-            let (stride, open_tasks) = (skirmish.spec().shape.features, seen.open_tasks);
+            let (stride, open_tasks) = (skirmish.spec().shape.features, seen.open_tasks as u32);
             let present = seen.present & !EntitySet::from(seen.absent);
             let (agents, tasks) = (4, 3);
             reader

@@ -160,7 +160,12 @@ impl Episode {
         for unit in 0..battle.count {
             let digits = self.file["avail"][step][unit].as_str().unwrap().bytes().enumerate();
             let want = digits.fold(0, |set, (at, digit)| set | u64::from(digit - b'0') << at);
-            assert_eq!(battle.available(unit), want, "{} step {step} unit {unit}", self.name);
+            assert_eq!(
+                battle.available(unit),
+                want.into(),
+                "{} step {step} unit {unit}",
+                self.name
+            );
         }
     }
 

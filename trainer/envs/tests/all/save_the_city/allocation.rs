@@ -43,7 +43,7 @@ fn observe(city: &SaveTheCity) -> Buffers {
     for (place, entity) in sortie_envs::members(seen.entities).enumerate() {
         seen.rows.write_dense(place, &mut rows[entity * STRIDE..][..STRIDE]);
     }
-    Buffers { rows, stride: STRIDE, present: seen.present, open_tasks: seen.open_tasks }
+    Buffers { rows, stride: STRIDE, present: seen.present, open_tasks: seen.open_tasks as u32 }
 }
 
 fn frame<'a>(city: &SaveTheCity, buffers: &'a Buffers) -> Frame<'a> {

@@ -53,7 +53,7 @@ fn an_observation_shows_those_that_exist() {
         assert_eq!(seen.rows.len(), agents + tasks);
         for entity in 0..11 {
             assert_eq!(seen.present >> entity & 1 == 1, present(entity));
-            let own = if entity < 5 { 0 } else { u32::from(present(entity)) << (entity - 5) };
+            let own = if entity < 5 { 0 } else { u128::from(present(entity)) << (entity - 5) };
             assert_eq!(seen.entity_task[entity], own);
         }
         for agent in 0..5 {
@@ -62,7 +62,7 @@ fn an_observation_shows_those_that_exist() {
             assert!(agent < agents || seen.available[agent] == 1);
         }
         assert_eq!(seen.open_tasks, (1 << tasks) - 1);
-        assert_eq!(city.open_tasks(0), seen.open_tasks);
+        assert_eq!(u128::from(city.open_tasks(0)), seen.open_tasks);
     }
 }
 

@@ -183,7 +183,7 @@ impl Method for Aql {
             let asked = [Asked { episode: 0, state: scene.state, before: in_force }];
             let given = if chance(random, epsilon.into()) {
                 let seen = Seen { environment, turn: 0, states: &asked };
-                let any = |_: &[f32], offered: u32| member(random, offered.into()).unwrap_or(0);
+                let any = |_: &[f32], offered| member(random, offered).unwrap_or(0);
                 proposer.proposing.allocate(networks.proposing, seen, any).pop()
             } else {
                 let best = proposer.best(networks, &asked, count, random);

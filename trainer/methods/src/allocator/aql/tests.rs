@@ -1,5 +1,5 @@
 use sortie_envs::random::generator;
-use sortie_envs::{Environment, Split, UNASSIGNED};
+use sortie_envs::{Environment, Split, TaskSet, UNASSIGNED};
 use sortie_learn::play::Play;
 use sortie_learn::run::EpisodeCounts;
 use sortie_learn::session::Opening;
@@ -74,8 +74,8 @@ fn different_allocations_are_proposed_and_every_decision_can_be_followed() {
 
     // What was decided is described as it was when it was decided.
     let mut decided = Group::default();
-    let draw = |scores: &[f32], offered: u32| {
-        sortie_learn::networks::draw(scores, offered.into(), &mut random)
+    let draw = |scores: &[f32], offered: TaskSet| {
+        sortie_learn::networks::draw(scores, offered, &mut random)
     };
     let allocations = decided.allocate(network, Seen { states: &states[..1], ..seen }, draw);
     let mut followed = Group::default();

@@ -213,7 +213,7 @@ fn move_some(
     for agent in members(seen.acting().into()) {
         if chance(generator, share)
             && open != 0
-            && let Some(task) = member(generator, open.into())
+            && let Some(task) = member(generator, open)
         {
             let task = task as u8;
             if allocation.iter().filter(|own| **own == task).count() < team_max {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rand_core::Rng;
 use sortie_envs::random::below;
-use sortie_envs::{Environment, Observation, Random, Spec};
+use sortie_envs::{Environment, Observation, Random, Spec, deployed_tasks};
 use sortie_learn::configuration::require;
 use sortie_learn::export::{DeployedAgents, Words};
 use sortie_learn::networks::MixerKind;
@@ -227,7 +227,7 @@ impl Method for Records {
         let did: Vec<u8> = actions.iter().map(|action| *action as u8).collect();
         let (allocation, last_actions) = (&place.allocation, &place.last_actions);
         let moment = Moment { state, allocation, last_actions, actions: &did };
-        let seen = (&place.seen, self.seen.open_tasks);
+        let seen = (&place.seen, deployed_tasks(self.seen.open_tasks));
         self.replay.push(transition, seen, (moment, &episode.before));
         episode.before.clone_from(allocation);
         let segments = self.allocator.as_mut().map(|allocator| &mut allocator.segments);

@@ -9,7 +9,7 @@
 
 use serde::{Deserialize, Serialize};
 use sortie_envs::random::below;
-use sortie_envs::{AgentSet, EntitySet, Observation, Random, Spec, members};
+use sortie_envs::{AgentSet, EntitySet, Observation, Random, Spec, deployed_tasks, members};
 use sortie_learn::trajectory::{Capacity, End, Future, Place, Widths};
 use sortie_learn::{LearnError, State, Trajectories, Transition};
 
@@ -172,7 +172,8 @@ impl Replay {
         let Transition { environment, step, task_rewards, next, .. } = *transition;
         let has_subtasks = self.conditioning.has_subtasks();
         let bit = |task: &u8| 1_u32.checked_shl((*task).into()).unwrap_or(0);
-        let [open, then] = if has_subtasks { [seen.open_tasks, open_then] } else { [1; 2] };
+        let [open, then] =
+            if has_subtasks { [deployed_tasks(seen.open_tasks), open_then] } else { [1; 2] };
         let samples = open & moment.allocation.iter().fold(0, |teams, task| teams | bit(task));
         let changed = moment.allocation.iter().zip(before).filter(|(own, before)| own != before);
         let moved = changed.fold(0, |moved, (own, before)| moved | bit(own) | bit(before));

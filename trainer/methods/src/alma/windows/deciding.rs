@@ -65,7 +65,7 @@ impl Allocate for ProposalAllocator<'_> {
         for task in &mut allocation[..seen.agents()] {
             if seen.open_tasks != 0
                 && chance(random, anywhere.into())
-                && let Some(drawn) = member(random, seen.open_tasks.into())
+                && let Some(drawn) = member(random, seen.open_tasks)
             {
                 *task = drawn as u8;
             }

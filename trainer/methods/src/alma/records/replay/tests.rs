@@ -68,7 +68,7 @@ impl World {
             last_actions: &last_actions,
             actions: &actions.map(|action| action as u8),
         };
-        let seen = (&seen, self.street.seen().open_tasks);
+        let seen = (&seen, self.street.seen().open_tasks as u32);
         self.replay.push(&transition, seen, (moment, &self.before));
         self.before = allocation;
         self.last_actions.iter_mut().zip(actions).for_each(|(last, action)| *last = action as u8);

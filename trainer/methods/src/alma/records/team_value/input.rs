@@ -136,7 +136,7 @@ impl TeamValueInput {
         let agents = acting.clone().count();
         let (teams, open) = (0..1_usize << agents, self.seen.open_tasks);
         let count = open.count_ones() as usize * teams.len();
-        for (place, task) in members(open.into()).enumerate() {
+        for (place, task) in members(open).enumerate() {
             self.relate(environment, TeamQuery { state, task, team: 0, turn: 0 });
             let own = self.own(task);
             teams.clone().for_each(|_| self.push_own(columns, own));

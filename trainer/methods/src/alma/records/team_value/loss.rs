@@ -10,7 +10,7 @@
 //! `sum of f = all rewards of the segment + discount * sum of f_target`, so that whose absence it was can show.
 
 use sortie_envs::random::below;
-use sortie_envs::{Environment, Observation, Random, Spec, members};
+use sortie_envs::{Environment, Observation, Random, Spec, deployed_tasks, members};
 use sortie_learn::learner::{Loss, Shard};
 use sortie_learn::random::{Purpose, generator};
 use sortie_learn::run::UpdateReport;
@@ -83,7 +83,7 @@ impl DrawnSegment {
             }
             let decision = Moment::read(segments.state(place), environment.spec().shape.agents);
             environment.observe(decision.state, 0, 0, seen);
-            let open = seen.open_tasks;
+            let open = deployed_tasks(seen.open_tasks);
             let tasks = match credit {
                 Credit::Team => open,
                 Credit::Subtask => {
@@ -168,7 +168,7 @@ impl TeamValues {
                 return 0;
             }
             environment.observe(next(drawn).state, 0, 0, seen);
-            drawn.tasks & seen.open_tasks
+            drawn.tasks & deployed_tasks(seen.open_tasks)
         };
         followed.clear();
         let all = drawn.iter().enumerate().map(|(number, drawn)| (number, open_next(drawn)));

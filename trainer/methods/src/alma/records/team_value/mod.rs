@@ -14,7 +14,7 @@ mod input;
 mod loss;
 
 use sortie_core::allocate::{EXACT_AGENTS, TeamValue, Teams, ascent, exact};
-use sortie_envs::{Environment, Observation, UNASSIGNED, members};
+use sortie_envs::{Environment, Observation, UNASSIGNED, deployed_tasks, members};
 use sortie_learn::LearnError;
 use sortie_learn::subtasks::{Allocate, ToAllocate};
 use sortie_nn::tape::Tape;
@@ -85,7 +85,7 @@ impl TeamSearch {
         let ToAllocate { environment, state, random, allocation } = to;
         environment.observe(state, 0, 0, &mut self.seen);
         let acting: Vec<usize> = members(self.seen.acting().into()).collect();
-        let (agents, open_tasks) = (acting.len(), self.seen.open_tasks);
+        let (agents, open_tasks) = (acting.len(), deployed_tasks(self.seen.open_tasks));
         let teams = Teams { agents, open_tasks, team_max: self.team_max };
         let mut own = vec![UNASSIGNED; agents];
         let found = if agents <= EXACT_AGENTS {

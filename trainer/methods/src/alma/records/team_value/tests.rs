@@ -330,7 +330,7 @@ fn closed_subtasks_and_ended_episodes_do_not_bootstrap() {
             let goes_on = segments.end(drawn.place) == End::Open && {
                 let mut seen = Observation::default();
                 environment.observe(decision(drawn.place.after(1)).state, 0, 0, &mut seen);
-                seen.open_tasks & drawn.tasks != 0
+                seen.open_tasks as u32 & drawn.tasks != 0
             };
             assert_eq!(
                 shard.space.targets[0] != drawn.tasks.trailing_zeros() as f32 - 1.0,

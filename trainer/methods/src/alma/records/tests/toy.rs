@@ -123,7 +123,7 @@ impl Environment for Toy {
         for (site, (_, is_open)) in street.sites.iter().enumerate() {
             let task = site - (self.joined >> site & 1) as usize;
             seen.entity_task[AGENTS + site] = 1 << task;
-            seen.open_tasks |= u32::from(*is_open) << task;
+            seen.open_tasks |= u128::from(*is_open) << task;
         }
     }
 

@@ -22,7 +22,7 @@ fn keep(replay: &mut Replay, number: u64, steps: usize) {
     city.save(0, &mut state);
     for step in 0..steps {
         city.observe(&state, 0, 0, &mut seen);
-        let mut draw = |available: &u64| member(&mut draws, (*available).into()).unwrap() as u16;
+        let mut draw = |available: &u128| member(&mut draws, *available).unwrap() as u16;
         let actions: Vec<u16> = seen.available.iter().map(&mut draw).collect();
         city.step(0, &actions, &mut draws).unwrap();
         next.clear();
