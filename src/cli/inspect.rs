@@ -49,6 +49,9 @@ struct BundleFacts<'a> {
     manifest: &'a Manifest,
     golden_cases: usize,
     golden_allocations: usize,
+    /// The ranges in which features must lie, by name.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    guards: BTreeMap<&'a str, [f32; 2]>,
     /// The graph of all agents.
     #[serde(skip_serializing_if = "Option::is_none")]
     agent: Option<OnnxFacts>,
@@ -125,12 +128,14 @@ fn inspect_bundle(path: &Path, json: bool) -> Outcome {
         Ok((graph.name, facts))
     });
     let mut agents = graphs.collect::<Result<BTreeMap<_, _>, Failure>>()?;
+    let names = bundle.contract().feature_names.iter().map(String::as_str);
     let facts = BundleFacts {
         bundle: path.display().to_string(),
         sha256: hex(bundle.id()),
         manifest: bundle.manifest(),
         golden_cases: bundle.golden().cases.len(),
         golden_allocations: bundle.golden().allocations.len(),
+        guards: names.zip(bundle.guards().iter().copied()).collect(),
         agent: agents.remove(OF_ALL),
         agents,
         allocator: bundle.allocator_onnx().map(|onnx| inspect(ALLOCATOR, onnx)).transpose()?,
@@ -168,6 +173,11 @@ fn print_bundle(facts: &BundleFacts<'_>, bundle: &Bundle) {
     }
     row("allocator", allocator.unwrap_or("none learned").to_string());
     row("golden", golden(facts));
+    let is_limited = |range: &&[f32; 2]| range.iter().any(|limit| limit.is_finite());
+    match facts.guards.values().filter(is_limited).count() {
+        0 => {}
+        guarded => row("guarded", format!("{guarded} of {} features", contract.features)),
+    }
     table.print();
     say!();
     let mut parts = Table::of_text(&["part", "SHA-256, first half"]);

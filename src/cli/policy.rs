@@ -3,7 +3,7 @@
 use clap::ValueEnum;
 use sortie_bundle::{AgentGraph, Bundle};
 use sortie_core::plan::{AlignedBytes, PlanError, Profile};
-use sortie_core::{Policy, Remembering, limits};
+use sortie_core::{Guarded, Policy, Remembering, limits};
 use sortie_plans::{
     AgentPlans, CompileError, Ending, FlatPolicy, GraphEngine, PolicyOptions, TeamPolicy,
     TeamSizes, options_over_graphs, policy_by_agent, roles_of,
@@ -65,6 +65,8 @@ pub struct DeployedPolicy {
     engine: Engine,
     /// What the agents of one team remember, `[A, R]`.
     memory: Vec<f32>,
+    /// In which their features must lie, `[d, 2]`; empty where they are not guarded.
+    ranges: Vec<[f32; 2]>,
 }
 
 enum Engine {
@@ -81,19 +83,18 @@ impl DeployedPolicy {
     /// As [`Self::open`], the plans in any profile.
     pub fn open_as(bundle: &Bundle, backend: Backend, profile: Profile) -> Result<Self, Failure> {
         let within = |error| Failure::from(error).within(bundle.folder().display());
-        match backend {
-            Backend::Plan => {
-                plans().agents(bundle, profile).and_then(Self::of_plans).map_err(within)
-            }
-            Backend::Tract => Self::of_graph(bundle, engines()?.tract()).map_err(within),
-        }
+        let policy = match backend {
+            Backend::Plan => plans().agents(bundle, profile).and_then(Self::of_plans),
+            Backend::Tract => Self::of_graph(bundle, engines()?.tract()),
+        };
+        Ok(Self { ranges: bundle.guards().to_vec(), ..policy.map_err(within)? })
     }
 
     /// The graphs in an engine, once another process has read and run them.
     pub fn of_graph(bundle: &Bundle, engine: &dyn GraphEngine) -> Result<Self, CompileError> {
         let policy = graph_policy(bundle, engine)?;
         let memory = vec![0.0; limits::AGENTS * policy.hidden()];
-        Ok(Self { engine: Engine::Graph(policy), memory })
+        Ok(Self { engine: Engine::Graph(policy), memory, ranges: Vec::new() })
     }
 
     /// The policy of a bundle's plans.
@@ -102,19 +103,24 @@ impl DeployedPolicy {
         let mut arenas = plans.arenas(limits::AGENTS)?;
         let hidden = plans.policy(&mut arenas)?.hidden();
         let memory = vec![0.0; limits::AGENTS * hidden];
-        Ok(Self { engine: Engine::Plans { plans, arenas }, memory })
+        Ok(Self { engine: Engine::Plans { plans, arenas }, memory, ranges: Vec::new() })
     }
 
-    /// The policy over this memory, for callers that keep what agents remember.
+    /// The policy over this memory, for callers that keep what agents remember. It is not guarded: what a network answers
+    /// is a question of its own.
     pub fn policy(&mut self) -> Result<Box<dyn Policy + Send + '_>, Failure> {
         self.engine.policy()
     }
 
-    /// The policy over this memory, that of one team: it keeps what agents remember, until their episode is over.
+    /// The policy over this memory, that of one team: it keeps what agents remember, until their episode is over, and
+    /// refuses what the bundle's guards do not let in.
     pub fn team(&mut self) -> Result<Box<dyn Policy + Send + '_>, Failure> {
-        let Self { engine, memory } = self;
-        let policy = engine.policy()?;
-        Ok(if memory.is_empty() { policy } else { Box::new(Remembering::new(policy, memory)) })
+        let Self { engine, memory, ranges } = self;
+        let mut policy = engine.policy()?;
+        if !memory.is_empty() {
+            policy = Box::new(Remembering::new(policy, memory));
+        }
+        Ok(if ranges.is_empty() { policy } else { Box::new(Guarded::new(policy, ranges)) })
     }
 }
 

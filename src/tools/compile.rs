@@ -42,6 +42,7 @@ use self::bundle::Paired;
   sortie compile walking.onnx -o walking.plan --profile int8 --npz recorded.npz
   sortie compile walking.onnx -o walking.plan --guards guards.toml --npz recorded.npz --guard-inputs 0.1
   sortie compile models/first -o models/first-with-plans
+  sortie compile models/first -o models/first-guarded --guard-inputs 0.1
   sortie compile models/save-the-city -o agent.plan --profile int8
   sortie compile models/save-the-city -o agent.plan --profile int8 --dsp")]
 pub(crate) struct CompileArguments {
@@ -65,10 +66,12 @@ pub(crate) struct CompileArguments {
     /// plan must act as the f32 plan does: arrays that `numpy.savez` saved, one case behind the other
     #[arg(long, value_name = "FILE", conflicts_with = "observations")]
     npz: Option<PathBuf>,
-    /// What a policy's plan is let see and let do, as TOML: ranges, rates, age, and what is done beyond them
+    /// What a policy's plan is let see and let do, as TOML: ranges, rates, age, and what is done beyond them. Of a bundle, the
+    /// ranges of what its agents may act on
     #[arg(long, value_name = "FILE")]
     guards: Option<PathBuf>,
-    /// Guard inputs by the lowest and highest of `--npz`, widened by this share of their distance on either side
+    /// Guard inputs by the lowest and highest of `--npz`, widened by this share of their distance on either side; of a bundle
+    /// by those of `--observations`, or of 100 episodes that its agents play
     #[arg(long, value_name = "MARGIN", value_parser = guards::margin)]
     guard_inputs: Option<f32>,
     /// Write an int8 plan however seldom it takes the same action or succeeds, and whatever was recorded

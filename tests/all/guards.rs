@@ -10,7 +10,10 @@ use sortie_core::plan::Trip;
 use sortie_core::wire::{AnswerStatus, Reason};
 use sortie_ipc::{ClientSettings, Domain, Expected, PolicyClient};
 
-use crate::support::{self, BUNDLE, TestDomain, assert_fails, interrupt, output, sortie, stderr};
+use crate::record::recorded_ticks;
+use crate::support::{
+    self, BUNDLE, Playing, TestDomain, assert_fails, interrupt, output, sortie, stderr,
+};
 
 const CART: &str = "examples/embed_c/cart.onnx";
 const CART_SHAPE: Expected<'_> =
@@ -155,7 +158,81 @@ fn guards_that_cannot_be_are_refused_by_name() {
     refused(RECURRENT, "age_ms = 2", &["--npz", RECORDED, "--guard-inputs", "-1"], 2, &["share"]);
     let agent = format!("{BUNDLE}/agent.onnx");
     refused(&agent, "age_ms = 2", &["--n-max", "11"], 2, &["agents of a team observe entities"]);
-    refused(BUNDLE, "age_ms = 2", &[], 2, &["guards are for a policy's ONNX file"]);
+    refused(BUNDLE, "age_ms = 2", &[], 65, &["guards.toml", "expected `features`"]);
+    let range = "[features]\nx-scale = [0, 1]";
+    refused(BUNDLE, range, &[], 65, &["guards.toml", "the contract has no feature `x-scale`"]);
+    let twice = ["--guard-inputs", "0.1"];
+    refused(BUNDLE, range, &twice, 2, &["leave one of them out"]);
+    refused(BUNDLE, range, &["--profile", "int8"], 2, &["guards of a team stand in its bundle"]);
+    refused(BUNDLE, range, &["--observations", "seen.bin"], 2, &["`--observations` is for"]);
+}
+
+#[test]
+fn an_agent_that_observes_what_its_bundle_is_guarded_against_falls_back_and_the_record_knows() {
+    let bench = Bench::new();
+    let bundle = bench.path("guarded.plan");
+    let compiled = bench.compile(BUNDLE, "[features]\nx-scaled = [0, 0.5]\n", &[]);
+    assert!(compiled.status.success(), "{}", stderr(&compiled));
+    let domain = TestDomain::new("guarded-team");
+    let name = bench.path("run.mcap");
+    let up = Playing::of(&bundle, &domain, &["--rate", "100"]);
+    let told = support::json(&[
+        "record", &bundle, "--output", &name, "--domain", &domain.id, "--ticks", "400", "--json",
+    ]);
+    assert!(told["ticks"].as_u64() >= Some(400), "{told}");
+    let top = support::json(&["top", "--domain", &domain.id, "--for", "1", "--json"]);
+    up.shut_down(&domain);
+    let remade = support::json(&["remake", &name, "--json"]);
+    assert_eq!(remade["different"], 0, "{remade}");
+    assert!(remade["actions"].as_u64() > Some(400), "{remade}");
+    // Of this town's east nobody knows anything, and whoever sees it does what is safe.
+    let agents = top["agents"].as_array().expect("agents");
+    let guarded: u64 = agents.iter().filter_map(|agent| agent["guarded_total"].as_u64()).sum();
+    assert!(guarded > 0, "{top}");
+    let ticks = recorded_ticks(&name);
+    let answers = ticks.iter().flat_map(|tick| {
+        let agents = tick["agents"].as_array().cloned().unwrap_or_default();
+        agents.into_iter().map(|answer| (tick["tick"].clone(), answer))
+    });
+    let [guarded, free]: [Vec<_>; 2] = {
+        let (guarded, free) = answers.partition(|(_, answer)| answer["guarded"] == true);
+        [guarded, free]
+    };
+    assert!(guarded.len() > 20 && free.len() > 20, "{} of {}", guarded.len(), free.len());
+    assert!(guarded.iter().all(|(_, answer)| answer["fallback"] == true));
+    let ran = support::json(&["run", &bundle, "--episodes", "3", "--rate", "0", "--json"]);
+    let [fallbacks, guarded_in_all] = ["fallbacks", "guarded"].map(|key| ran[key].as_u64());
+    assert!(guarded_in_all > Some(0) && fallbacks >= guarded_in_all, "{ran}");
+    let (tick, answer) = &guarded[guarded.len() / 2];
+    let (tick, agent) = (tick.to_string(), answer["agent"].to_string());
+    let why = support::json(&["why", &name, "--agent", &agent, "--tick", &tick, "--json"]);
+    let reason = why["refused_for"].as_str().expect("a reason");
+    assert!(reason.starts_with("`x-scaled` of entity "), "{reason}");
+    assert!(reason.ends_with(", outside of its guarded range"), "{reason}");
+}
+
+#[test]
+fn ranges_of_a_team_come_from_episodes_that_it_plays() {
+    let bench = Bench::new();
+    let bundle = bench.path("guarded.plan");
+    let compile = ["compile", BUNDLE, "-q", "-o", &bundle, "--guard-inputs", "0"];
+    let compiled = output(&compile);
+    assert!(compiled.status.success(), "{}", stderr(&compiled));
+    let inspected = bench.inspected();
+    assert_eq!(inspected["format"], 5, "{inspected}");
+    let ranges = inspected["guards"].as_object().expect("ranges");
+    assert_eq!(Some(ranges.len() as u64), inspected["contract"]["features"].as_u64());
+    assert_eq!(ranges["can-fight"], json!([0.0, 1.0]));
+    let shown = output(&["inspect", &bundle]);
+    let shown = String::from_utf8(shown.stdout).expect("text");
+    assert!(shown.contains("58 of 58 features"), "{shown}");
+    // Its plans are those of the bundle without guards, and so is what they are verified by.
+    let of = |inspected: &Value| inspected["parts"]["agent.plan"].clone();
+    assert_eq!(of(&inspected), of(&support::json(&["inspect", BUNDLE, "--json"])));
+    let text = fs::read(format!("{bundle}/guards.toml")).expect("guards");
+    let cut = String::from_utf8(text).expect("text").replace("features", "feature");
+    fs::write(format!("{bundle}/guards.toml"), cut).expect("a file");
+    assert_fails(&output(&["inspect", &bundle]), 65, &["guards.toml", "SHA-256"]);
 }
 
 #[test]

@@ -32,6 +32,11 @@ print(json.dumps([counts, ticks]))
     serde_json::from_slice(&read.stdout).expect("JSON")
 }
 
+/// The ticks of a record.
+pub(crate) fn recorded_ticks(file: &str) -> Vec<Value> {
+    read_by_others(Path::new(file)).1
+}
+
 #[test]
 fn a_team_at_work_is_recorded_and_others_read_it() {
     let domain = TestDomain::new("record");

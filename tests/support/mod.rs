@@ -109,7 +109,12 @@ impl Playing {
 
     /// At another rate, or otherwise different.
     pub(crate) fn with(domain: &TestDomain, more: &[&str]) -> Self {
-        let mut up = sortie(&["up", BUNDLE, "--domain", &domain.id, "--quiet", "--isolate"]);
+        Self::of(BUNDLE, domain, more)
+    }
+
+    /// By another bundle of as many agents.
+    pub(crate) fn of(bundle: &str, domain: &TestDomain, more: &[&str]) -> Self {
+        let mut up = sortie(&["up", bundle, "--domain", &domain.id, "--quiet", "--isolate"]);
         up.args(more);
         let up = up.stdout(Stdio::null()).stderr(Stdio::null()).spawn();
         let up = Self(up.expect("the command line starts"));

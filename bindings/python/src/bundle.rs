@@ -11,7 +11,7 @@ use sortie_bundle::hex;
 use sortie_core::allocate::PointingMemory;
 use sortie_core::allocate::proposals::PROPOSALS;
 use sortie_core::plan::{AlignedBytes, Network, PlanError, Profile};
-use sortie_core::{DecideError, Decision, Observation, PlanPolicy, Policy, limits};
+use sortie_core::{DecideError, Decision, Guarded, Observation, PlanPolicy, Policy, limits};
 use sortie_plans::{BundlePlans, CompileError, CompilerProcess, policy_by_agent, user_cache};
 
 use crate::arrays::array;
@@ -192,6 +192,9 @@ impl Bundle {
         let (graph_of, actions) =
             (&self.bundle.manifest().network.graph_of, self.bundle.contract().actions);
         let mut policy = policy_by_agent(policies, graph_of, actions.into());
+        if !self.bundle.guards().is_empty() {
+            policy = Box::new(Guarded::new(policy, self.bundle.guards()));
+        }
         let mut states = memory.clone();
         let of_these = states.get_mut(..seen.len() * policy.hidden()).unwrap_or_default();
         policy.decide_batch_with(seen, of_these, &mut decisions);

@@ -10,6 +10,7 @@ use crate::contract::{ContractV1, OptionsContract};
 use crate::error::BundleError;
 use crate::files::{self, MOST_BYTES, hex, sha256};
 use crate::golden::{Golden, MIN_ALLOCATIONS, MIN_CASES};
+use crate::guards::guards_from_toml;
 use crate::manifest::{
     AGENT, AgentGraph, Contract, Environment, FORMAT, Limits, Manifest, Network, OPTION_GRAPHS,
     POINTING, POLICY, PROPOSALS, TEAM_VALUE,
@@ -34,6 +35,8 @@ pub const ALLOCATOR_PLAN: &str = "allocator.plan";
 pub const POLICY_ROLES: &str = "policy.toml";
 /// Observations with expected answers.
 pub const GOLDEN: &str = "golden.json";
+/// The ranges that agents' observations must lie in.
+pub const GUARDS: &str = "guards.toml";
 /// The model card.
 pub const CARD: &str = "card.md";
 /// The learning curve, drawn.
@@ -51,6 +54,7 @@ pub struct Bundle {
     manifest: Manifest,
     parts: BTreeMap<String, Vec<u8>>,
     golden: Golden,
+    guards: Vec<[f32; 2]>,
 }
 
 /// What a new bundle is made of.
@@ -90,7 +94,9 @@ impl Bundle {
                 return Err(BundleError::Missing { path: folder.join(name) });
             }
         }
-        Ok(Self { folder: folder.to_owned(), id: sha256(&bytes), manifest, parts, golden })
+        let guards = guards_part(folder, &manifest, &parts)?;
+        let (folder, id) = (folder.to_owned(), sha256(&bytes));
+        Ok(Self { folder, id, manifest, parts, golden, guards })
     }
 
     /// What this bundle is made of, to make another of it.
@@ -194,6 +200,11 @@ impl Bundle {
         roles.map(Some).map_err(|reason| BundleError::Invalid { path, reason })
     }
 
+    /// The ranges `[d, 2]` in which what its agents observe must lie; none where they are not guarded.
+    pub fn guards(&self) -> &[[f32; 2]] {
+        &self.guards
+    }
+
     /// Whether an allocator was learned, of any kind.
     pub fn has_allocator(&self) -> bool {
         self.manifest.network.allocator.is_some()
@@ -255,6 +266,7 @@ impl Draft {
             folder: folder.to_owned(),
             id: sha256(text.as_bytes()),
             manifest: self.manifest(&parts),
+            guards: guards_part(folder, &self.manifest(&parts), &parts)?,
             parts,
             golden: self.golden.clone(),
         })
@@ -308,7 +320,7 @@ impl Draft {
     fn manifest(&self, parts: &BTreeMap<String, Vec<u8>>) -> Manifest {
         let hashed = |(name, bytes): (&String, &Vec<u8>)| (name.clone(), hex(&sha256(bytes)));
         Manifest {
-            format: self.network.format(),
+            format: self.network.format(parts.contains_key(GUARDS)),
             contract: Contract {
                 hash: format!("{:016x}", self.contract.hash()),
                 environment: self.environment.clone(),
@@ -424,6 +436,16 @@ fn golden_part(
         Some(flaw) => Err(invalid(flaw)),
         None => Ok(golden),
     }
+}
+
+fn guards_part(
+    folder: &Path,
+    manifest: &Manifest,
+    parts: &BTreeMap<String, Vec<u8>>,
+) -> Result<Vec<[f32; 2]>, BundleError> {
+    let Some(text) = parts.get(GUARDS) else { return Ok(Vec::new()) };
+    guards_from_toml(text, &manifest.contract.v1)
+        .map_err(|reason| BundleError::Invalid { path: folder.join(GUARDS), reason })
 }
 
 /// What is missing among the golden cases.

@@ -12,6 +12,7 @@ mod contract;
 mod error;
 pub mod files;
 mod golden;
+mod guards;
 mod manifest;
 mod policy_roles;
 mod recording;
@@ -20,7 +21,7 @@ mod tests;
 
 pub use allocation::{GoldenAllocation, GoldenValue, OwnedAllocationState};
 pub use bundle::{
-    ALLOCATOR, ALLOCATOR_PLAN, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN, MANIFEST,
+    ALLOCATOR, ALLOCATOR_PLAN, Bundle, CARD, CURVE, CURVE_DATA, Draft, GOLDEN, GUARDS, MANIFEST,
     POINTING_PARTS, POINTING_PLANS, POLICY_ROLES, PROPOSAL_PARTS, TRAINING,
 };
 pub use contract::{
@@ -32,6 +33,7 @@ pub use files::{hex, sha256};
 pub use golden::{
     Golden, GoldenCase, GoldenEpisode, GoldenTick, MIN_ALLOCATIONS, MIN_CASES, OwnedObservation,
 };
+pub use guards::{guards_from_toml, guards_to_toml};
 pub use manifest::{
     AGENT, AGENT_PLAN, AgentGraph, Contract, Environment, Limits, Manifest, Network, OPTION_GRAPHS,
     OPTIONS, POINTING, POLICY, PROPOSALS, PointingContract, TEAM_VALUE,

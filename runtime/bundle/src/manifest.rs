@@ -13,7 +13,7 @@ pub const AGENT: &str = "agent.onnx";
 /// The plan of the agent's network: profile `exact`, for as many entities as the limits say.
 pub const AGENT_PLAN: &str = "agent.plan";
 /// The newest bundle format that this program reads.
-pub(crate) const FORMAT: u32 = 4;
+pub(crate) const FORMAT: u32 = 5;
 
 /// The kind of agent network that is a policy over inputs of fixed sizes, whoever exported it.
 pub const POLICY: &str = "policy";
@@ -211,9 +211,10 @@ impl AgentGraph {
 
 impl Network {
     /// The format of its bundle: programs that know of one graph for all agents read the first, those that know of no options
-    /// the second, those that know of no allocator that points the third.
-    pub(crate) fn format(&self) -> u32 {
+    /// the second, those that know of no allocator that points the third, and those that would not guard the fourth.
+    pub(crate) fn format(&self, is_guarded: bool) -> u32 {
         match (&self.pointing, &self.options) {
+            _ if is_guarded => 5,
             (Some(_), _) => 4,
             (None, Some(_)) => 3,
             (None, None) if self.graphs.is_empty() => 1,

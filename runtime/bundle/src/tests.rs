@@ -322,7 +322,7 @@ fn an_edited_manifest_is_refused_with_its_reason() {
         fs::write(&path, text.replace(from, to)).unwrap();
         message(&folder)
     };
-    assert!(refused("format = 1", "format = 5").contains("update sortie"));
+    assert!(refused("format = 1", "format = 6").contains("update sortie"));
     assert!(refused("decision_interval = 5", "decision_interval = 6").contains("was edited"));
     assert!(refused("\"distance\"", "\"distance\", \"x\"").contains("2 feature names for 1"));
     assert!(refused("\"card.md\"", "\"../card.md\"").contains("not a plain file name"));

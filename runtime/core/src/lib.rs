@@ -27,6 +27,7 @@
 //! | policies over inputs of fixed sizes | [`Plan::respond`](plan::Plan::respond), [`Plan::choose`](plan::Plan::choose) |
 //! | agents that see entities through masks | [`Policy`], [`PlanPolicy`], [`Observation`] |
 //! | teams of several policies | [`PolicyByAgent`] |
+//! | agents that act only on what lies within ranges | [`Guarded`] |
 //! | agents that go from milestone to milestone | [`options`] |
 //! | who works on which subtask | [`allocate`], [`Allocator`] |
 //! | agents, allocator and world as processes or devices | [`wire`], [`roles`], [`link`] |
@@ -65,6 +66,7 @@ pub mod choose;
 pub mod decide;
 pub mod entities;
 pub mod entity_mask;
+mod guarded;
 pub mod identity;
 pub mod limits;
 pub mod link;
@@ -104,6 +106,7 @@ pub use by_agent::PolicyByAgent;
 pub use decide::PlanPolicy;
 pub use entities::Entities;
 pub use entity_mask::EntityMask;
+pub use guarded::Guarded;
 pub use policy::{DecideError, Decision, NO_ACTION, Observation, Policy, visible};
 pub use remember::Remembering;
 pub use shape::Shape;

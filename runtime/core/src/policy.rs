@@ -73,6 +73,13 @@ pub enum DecideError {
         /// The table's rows.
         rows: usize,
     },
+    /// A feature lies outside of the range that it is guarded by, or is NaN.
+    BeyondGuards {
+        /// Whose: the row of the observation.
+        entity: usize,
+        /// Which column of it.
+        feature: usize,
+    },
 }
 
 impl core::fmt::Display for DecideError {
@@ -93,6 +100,9 @@ impl core::fmt::Display for DecideError {
             Self::Greedy => f.write_str("the policy chooses greedily and cannot be drawn from"),
             Self::NoSuchRow { rows } => {
                 write!(f, "a number chooses a row of a table of {rows}, and there is no such row")
+            }
+            Self::BeyondGuards { entity, feature } => {
+                write!(f, "feature {feature} of entity {entity} lies outside of its guarded range")
             }
         }
     }

@@ -58,6 +58,7 @@ impl Flight {
         match heard {
             Heard::Action(it) => {
                 for (event, flag, what) in [
+                    (Event::Fallback, ActionMsg::GUARD, "a guard refused what it observed"),
                     (Event::Fallback, ActionMsg::FALLBACK, "its policy refused"),
                     (Event::Late, ActionMsg::LATE, "its action was late"),
                 ] {

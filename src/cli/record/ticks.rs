@@ -20,6 +20,7 @@ pub(super) const SCHEMA: &str = r#"{
       "task": {"type": ["integer", "null"], "description": "subtask acted for"},
       "utility": {"type": ["number", "null"]},
       "fallback": {"type": "boolean", "description": "there where the policy refused"},
+      "guarded": {"type": "boolean", "description": "there where a guard refused what the agent observed"},
       "late": {"type": "boolean", "description": "there where it was sent after the deadline"},
       "answered_us": {"type": "number", "description": "from the frame to the action"}
     }}}
@@ -50,6 +51,8 @@ struct Answer {
     /// Of an hour's lines, what is nearly always false would be a tenth.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     fallback: bool,
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    guarded: bool,
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     late: bool,
     answered_us: f64,
@@ -97,6 +100,7 @@ impl Ticks {
             task: Some(action.task).filter(|task| *task != UNASSIGNED),
             utility: Some(action.q).filter(|utility| utility.is_finite()),
             fallback: action.has(ActionMsg::FALLBACK),
+            guarded: action.has(ActionMsg::GUARD),
             late: action.has(ActionMsg::LATE),
             answered_us: action.t_ns.saturating_sub(frame.t_ns) as f64 / 1e3,
         });

@@ -10,8 +10,11 @@ use super::contents::Shown;
 use super::roles::Judge;
 
 /// What of an answer is the same whenever it is given.
-const DECIDED: u16 =
-    ActionMsg::STALE_ALLOC | ActionMsg::NO_ALLOC | ActionMsg::FALLBACK | ActionMsg::STATE_RESET;
+const DECIDED: u16 = ActionMsg::STALE_ALLOC
+    | ActionMsg::NO_ALLOC
+    | ActionMsg::FALLBACK
+    | ActionMsg::STATE_RESET
+    | ActionMsg::GUARD;
 
 /// Counts what comes out otherwise, and keeps the first of it.
 #[derive(Default)]

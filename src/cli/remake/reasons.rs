@@ -3,7 +3,7 @@
 use serde::Serialize;
 use sortie_bundle::ContractV1;
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameView};
-use sortie_core::{AllocateError, AllocationState, NO_ACTION, UNASSIGNED};
+use sortie_core::{AllocateError, AllocationState, DecideError, NO_ACTION, UNASSIGNED};
 use sortie_stage::{Attention, Thought, rounded};
 
 use crate::output::{Table, say};
@@ -26,6 +26,8 @@ pub(super) struct Reasons {
     task: Option<u8>,
     /// Its policy refused.
     fallback: bool,
+    /// Why it did, or its guard.
+    refused_for: Option<String>,
     /// It was sent after the deadline.
     late: bool,
     /// From the frame to the answer.
@@ -153,7 +155,7 @@ impl Reasons {
     pub(super) fn new(
         contract: &ContractV1,
         (answer, view): (&ActionMsg, &FrameView<'_>),
-        thought: Option<Thought>,
+        heard: Option<Result<Thought, DecideError>>,
         allocation: Option<Allocated>,
     ) -> Self {
         let header = view.header();
@@ -162,7 +164,9 @@ impl Reasons {
             Some(name) => name.clone(),
             None => format!("action {action}"),
         };
-        let Thought { utilities, mut attention, .. } = thought.unwrap_or_else(nothing);
+        let heard = heard.unwrap_or_else(|| Ok(nothing()));
+        let refusal = heard.as_ref().err().copied();
+        let Thought { utilities, mut attention, .. } = heard.unwrap_or_else(|_| nothing());
         let available = view.available(agent).iter().zip(utilities).enumerate();
         let available = available.filter(|(_, (code, _))| **code != 0);
         let choice = |(action, (_, utility))| Choice { action: name(action), utility };
@@ -181,6 +185,7 @@ impl Reasons {
             utility: Some(answer.q).filter(|utility| utility.is_finite()),
             task: Some(answer.task).filter(|task| *task != UNASSIGNED),
             fallback: answer.has(ActionMsg::FALLBACK),
+            refused_for: refusal.map(|error| in_words(error, contract, view)),
             late: answer.has(ActionMsg::LATE),
             answered_us: answer.t_ns.saturating_sub(header.t_ns) as f64 / 1e3,
             agents: view.agents(),
@@ -198,7 +203,8 @@ impl Reasons {
         let task = self.task.map_or(String::new(), |task| format!(", for subtask {task}"));
         say!("did: {action}{task}, {:.0} us after its frame", self.answered_us);
         if self.fallback {
-            say!("its policy refused: this is what its fallback does");
+            let why = self.refused_for.as_ref().map_or(String::new(), |why| format!(" ({why})"));
+            say!("its policy refused{why}: this is what its fallback does");
         }
         if self.late {
             say!("that was after the deadline");
@@ -218,6 +224,16 @@ impl Reasons {
             allocation.print();
         }
     }
+}
+
+/// A refusal, with the feature by its name where it is about one.
+fn in_words(error: DecideError, contract: &ContractV1, view: &FrameView<'_>) -> String {
+    let DecideError::BeyondGuards { entity, feature } = error else { return error.to_string() };
+    let value = view.rows().get(entity * view.stride() + feature);
+    let (Some(name), Some(value)) = (contract.feature_names.get(feature), value) else {
+        return error.to_string();
+    };
+    format!("`{name}` of entity {entity} is {value}, outside of its guarded range")
 }
 
 /// Where the policy was not asked, or has no utilities to tell.

@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use sortie_bundle::Bundle;
-use sortie_core::Policy;
 use sortie_core::choose::masked_argmax;
 use sortie_core::wire::{ActionMsg, AllocMsg};
+use sortie_core::{DecideError, Policy};
 use sortie_ipc::{Domain, Heard};
 use sortie_learn::draft::DecoratedPolicy;
 use sortie_plans::AttentionProbe;
@@ -221,10 +221,10 @@ fn reasons(contents: &Contents, bundle: &Bundle, asked: &Asked) -> Result<Reason
     roles.answer(asked.answer.runner);
     is_known(before, roles.made())?;
     let frame = roles.frame(asked.answer.tick).ok_or_else(|| lacks("its frame"))?;
-    let thought = ear.heard.borrow_mut().take();
+    let heard = ear.heard.borrow_mut().take();
     let view = frame.view(&contents.format)?;
     let allocated = allocated.transpose()?;
-    Ok(Reasons::new(bundle.contract(), (&asked.answer, &view), thought, allocated))
+    Ok(Reasons::new(bundle.contract(), (&asked.answer, &view), heard, allocated))
 }
 
 fn lacks(what: &str) -> Failure {
@@ -271,7 +271,8 @@ fn worth(
 struct Ear {
     is_open: Cell<bool>,
     probe: Option<AttentionProbe>,
-    heard: RefCell<Option<Thought>>,
+    /// What it thinks, or why its policy refuses.
+    heard: RefCell<Option<Result<Thought, DecideError>>>,
 }
 
 /// A runner's policy, of one of whose agents thoughts are heard.
@@ -281,10 +282,13 @@ fn aloud<'a>(policy: Box<dyn Policy + 'a>, agent: u16, ear: &'a Ear) -> Box<dyn 
             return policy.decide(observation);
         }
         let mut utilities = vec![0.0; policy.actions()];
-        policy.utilities(observation, &mut utilities)?;
+        if let Err(refusal) = policy.utilities(observation, &mut utilities) {
+            ear.heard.replace(Some(Err(refusal)));
+            return Err(refusal);
+        }
         let attention = ear.probe.as_ref().map(|probe| probe.by_entity(observation));
         let thought = Thought::new(&utilities, attention.transpose()?.unwrap_or_default());
-        ear.heard.replace(Some(thought));
+        ear.heard.replace(Some(Ok(thought)));
         masked_argmax(&utilities, observation.available)
     }))
 }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use sortie_core::roles::TickReport;
+use sortie_core::wire::ActionMsg;
 use sortie_core::{NO_ACTION, limits};
 
 use crate::latency::{Latency, Spread};
@@ -27,8 +28,10 @@ pub(super) struct Figures {
     pub(super) skipped: u64,
     /// Ticks that were not over when the next frame was due.
     pub(super) overran: u64,
-    /// Fallback actions that were played for agents without an answer in time.
+    /// Fallback actions, of agents without an answer in time and of those whose policy refused.
     pub(super) fallbacks: u64,
+    /// Those for which a guard refused what an agent observed.
+    pub(super) guarded: u64,
     /// Agents for which nobody acts, and since when.
     pub(super) absent: BTreeMap<usize, Since>,
     /// Ids of the processes heard of, the world's included.
@@ -55,6 +58,8 @@ impl Figures {
     pub(super) fn record(&mut self, report: &TickReport<'_>) {
         for answer in report.answers() {
             self.decisions += 1;
+            self.fallbacks += u64::from(answer.has(ActionMsg::FALLBACK));
+            self.guarded += u64::from(answer.has(ActionMsg::GUARD));
             self.decide.record_ns(u64::from(answer.decide_ns));
             self.act.record_ns(answer.t_ns.saturating_sub(report.published_ns));
         }

@@ -32,8 +32,10 @@ pub(super) struct Report {
     has_success: bool,
     by_team: BTreeMap<String, TeamTally>,
     decisions: u64,
-    /// Actions of agents for which nobody answered in time.
+    /// Actions of agents for which nobody answered in time, or whose policy refused.
     fallbacks: u64,
+    /// Those for which a guard refused what an agent observed.
+    guarded: u64,
     /// Agents for which nobody acts at the end: left out of allocations.
     absent: Vec<Absent>,
     decide_us: Percentiles,
@@ -112,6 +114,7 @@ impl Report {
             by_team: tally.by_team.clone(),
             decisions: figures.decisions,
             fallbacks: figures.fallbacks,
+            guarded: figures.guarded,
             absent: figures.absent.iter().map(|one| Absent::new(one, earlier)).collect(),
             decide_us: figures.decide.percentiles(),
             act_us: figures.act.percentiles(),
@@ -145,8 +148,12 @@ impl Report {
             say!("\n{returned} over {over}");
             say!("{}\n", self.own_text);
         }
+        let guarded = match self.guarded {
+            0 => String::new(),
+            guarded => format!(" ({guarded} by guards)"),
+        };
         say!(
-            "{}, {}, {}",
+            "{}, {}, {}{guarded}",
             plural(self.processes, "process"),
             plural(self.decisions as usize, "decision"),
             plural(self.fallbacks as usize, "fallback action"),

@@ -133,6 +133,8 @@ fn of_agents(text: &mut Text, agents: &[Agent]) {
     text.by_agent(agents, "agent_asked_total", asked, |it| Some(it.asked_total as f64));
     let fallbacks = "Those in which it did not do what its policy decided.";
     text.by_agent(agents, "agent_fallbacks_total", fallbacks, |it| Some(it.fallbacks_total as f64));
+    let guarded = "Those in which a guard refused what it observed.";
+    text.by_agent(agents, "agent_guarded_total", guarded, |it| Some(it.guarded_total as f64));
     let late = "Those that were answered after the deadline.";
     text.by_agent(agents, "agent_late_total", late, |it| Some(it.late_total as f64));
     let fallbacks = "Share of fallbacks in the window.";

@@ -107,6 +107,8 @@ pub(super) struct Agent {
     /// Since somebody listens.
     pub(super) asked_total: u64,
     pub(super) fallbacks_total: u64,
+    /// Those in which a guard refused what it observed.
+    pub(super) guarded_total: u64,
     pub(super) late_total: u64,
 }
 

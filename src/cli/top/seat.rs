@@ -17,6 +17,7 @@ pub(super) struct Seat {
     newest: Option<ActionMsg>,
     recent: Window<Played>,
     total: Answers,
+    guarded: u64,
 }
 
 /// How an agent played.
@@ -47,6 +48,7 @@ fn histogram() -> Histogram<u64> {
 impl Seat {
     pub(super) fn take(&mut self, action: &ActionMsg, now_ns: u64) {
         self.newest = Some(*action);
+        self.guarded += u64::from(action.has(ActionMsg::GUARD));
         let recent = self.recent.at(now_ns);
         // Of what grows nothing is refused.
         let _ = recent.decide_ns.record(action.decide_ns.into());
@@ -106,6 +108,7 @@ impl Seat {
             decide_us: (!decide_ns.is_empty()).then(|| Percentiles { p50: at(0.5), p99: at(0.99) }),
             asked_total: self.total.asked,
             fallbacks_total: self.total.fallbacks,
+            guarded_total: self.guarded,
             late_total: self.total.late,
             ..Agent::default()
         }

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use serde::Serialize;
-use sortie_bundle::{Bundle, hex};
+use sortie_bundle::{Bundle, GUARDS, Recording, guards_to_toml, hex};
 use sortie_cli::allocator::ProposalArguments;
 use sortie_cli::deployment::open_bundle;
 use sortie_cli::environment::{ScenarioSetName, check_fits};
@@ -13,6 +13,7 @@ use sortie_cli::files::{Kind, recording_of, recording_policy, try_output};
 use sortie_cli::npz::{self, RecordedInputs};
 use sortie_cli::output::{Table, print_json, say};
 use sortie_cli::policy::{Backend, DeployedPolicy, PlanProfile};
+use sortie_cli::remake::read_observations;
 use sortie_cli::subject::Subject;
 use sortie_cli::terminal::CountedEpisodes;
 use sortie_cli::tools::{compiler, plans, with_plans};
@@ -31,8 +32,8 @@ use sortie_plans::{
 };
 
 use super::{
-    CompileArguments, Written, WrittenBundle, print, print_agreement, print_bytes, print_operators,
-    refuse, write_plan,
+    CompileArguments, Written, WrittenBundle, guards, print, print_agreement, print_bytes,
+    print_operators, refuse, write_plan,
 };
 
 /// By how much an int8 plan may succeed less often than the exact plan.
@@ -41,7 +42,7 @@ const MARGIN: f64 = 0.01;
 /// Episodes that both plans play.
 const JUDGED: usize = 2000;
 
-/// Episodes whose observations weights are rounded for.
+/// Episodes whose observations weights are rounded for, or features are guarded by.
 const RECORDED: usize = 100;
 
 /// How an int8 plan of a bundle is judged.
@@ -79,17 +80,32 @@ impl Paired {
 }
 
 pub(super) fn compile_bundle(arguments: &CompileArguments) -> Outcome {
-    let refused =
-        [("--observations", arguments.observations.is_some()), ("--npz", arguments.npz.is_some())];
-    if arguments.guards.is_some() || arguments.guard_inputs.is_some() {
-        let message = "guards are for a policy's ONNX file: agents of a bundle observe entities";
-        return Err(Failure::new(Exit::Usage, message));
-    }
+    let CompileArguments { guards, guard_inputs, observations, npz, profile, .. } = arguments;
+    let is_guarded = guards.is_some() || guard_inputs.is_some();
+    let refused = [
+        ("--observations", observations.is_some() && guard_inputs.is_none()),
+        ("--npz", npz.is_some()),
+    ];
     if let Some((flag, _)) = refused.into_iter().find(|(_, is_given)| *is_given) {
         let message =
             format!("`{flag}` is for an ONNX file: a bundle's agents play, and are recorded");
         return Err(Failure::new(Exit::Usage, message));
     }
+    let flaw = match (guards, guard_inputs) {
+        _ if is_guarded && *profile != PlanProfile::Exact => {
+            "guards of a team stand in its bundle: `--profile` gives a plan of its agents, which has none"
+        }
+        (Some(_), Some(_)) => {
+            "`--guards FILE` names the ranges of a team's features, `--guard-inputs` takes them from what \
+                               is recorded: leave one of them out"
+        }
+        _ => return written(arguments),
+    };
+    Err(Failure::new(Exit::Usage, flaw))
+}
+
+/// Writes what the profile says.
+fn written(arguments: &CompileArguments) -> Outcome {
     match arguments.profile {
         PlanProfile::Exact => ship(arguments),
         PlanProfile::Int8 => compile_int8(arguments),
@@ -101,10 +117,16 @@ pub(super) fn compile_bundle(arguments: &CompileArguments) -> Outcome {
     }
 }
 
-/// Writes a bundle again, with plans.
+/// Writes a bundle again, with plans, and with the guards that are asked for.
 fn ship(arguments: &CompileArguments) -> Outcome {
     let CompileArguments { onnx: folder, output, common, .. } = arguments;
-    let draft = open_bundle(folder)?.draft();
+    let bundle = open_bundle(folder)?;
+    let mut draft = bundle.draft();
+    if let Some(guards) = asked_guards(arguments, bundle)? {
+        draft
+            .parts
+            .insert(GUARDS.to_owned(), guards_to_toml(&guards, &draft.contract).into_bytes());
+    }
     let bundle = with_plans(draft, output)?.write(output)?;
     let (bundle, sha256) = (output, hex(bundle.id()));
     if common.json {
@@ -115,20 +137,41 @@ fn ship(arguments: &CompileArguments) -> Outcome {
     Ok(())
 }
 
+/// The ranges of features that a file names, or of what agents observe in a recording or in episodes that they play.
+fn asked_guards(
+    arguments: &CompileArguments,
+    bundle: Bundle,
+) -> Result<Option<Vec<[f32; 2]>>, Failure> {
+    let CompileArguments { guards, guard_inputs, observations, common, .. } = arguments;
+    let Some(margin) = *guard_inputs else {
+        return guards::of_team(guards.as_deref(), bundle.contract());
+    };
+    let recording = match observations {
+        Some(file) => read_observations(file, &bundle)?,
+        None => {
+            let bar = terminal::bar(*common, RECORDED as u64, "episodes");
+            let mut agents = DeployedPolicy::open(&bundle, Backend::Plan)?;
+            let playing = Playing::open(bundle)?;
+            let recording = playing.recorded(agents.policy()?.as_mut(), common.seed, &bar)?;
+            bar.finish_and_clear();
+            recording
+        }
+    };
+    guards::seen_by_team(&recording, margin).map(Some)
+}
+
 /// Writes the int8 plan of a bundle's agents, if it succeeds as often as the exact one.
 fn compile_int8(arguments: &CompileArguments) -> Outcome {
     let CompileArguments { onnx: folder, output, common, .. } = arguments;
     let playing = Playing::open(open_bundle(folder)?)?;
+    playing.check_judged()?;
     try_output(output, Kind::Plan)?;
     let bar = terminal::bar(*common, (RECORDED + 2 * JUDGED) as u64, "episodes");
     let bundle = &playing.bundle;
     let mut exact = DeployedPolicy::open(bundle, Backend::Plan)?;
     let mut exact = exact.policy()?;
-    let mut recording = recording_of(bundle);
-    let mut recorder = recording_policy(exact.as_mut(), &mut recording);
     let rounding_seed = apart(common.seed);
-    playing.play(&mut recorder, RECORDED, rounding_seed, &bar)?;
-    drop(recorder);
+    let recording = playing.recorded(exact.as_mut(), rounding_seed, &bar)?;
     let within = |error| Failure::from(error).within(folder.display());
     let compile = |profile: Profile, examples: &_| plans().agent(bundle, profile, examples);
     let quantised = quantise(compile, &recording).map_err(within)?;
@@ -179,15 +222,35 @@ impl Playing {
         let set = ScenarioSetName::parse(&bundle.manifest().contract.environment.name)?;
         check_fits(&bundle, &set)?;
         let environment = set.open(Split::Test)?;
-        if !environment.spec().has_success {
-            let message = format!(
-                "an int8 plan of a bundle is judged by success, and episodes of `{set}` cannot be solved: compile each \
-                 of its networks with recorded inputs, `sortie compile FILE.onnx --profile int8 --npz FILE`"
-            );
-            return Err(Failure::new(Exit::Usage, message));
-        }
         let subject = Subject::Bundle(Box::new(bundle.clone()));
         Ok(Self { bundle, subject, set, environment })
+    }
+
+    /// Checks that plans can be judged by how often episodes are solved.
+    fn check_judged(&self) -> Outcome {
+        if self.environment.spec().has_success {
+            return Ok(());
+        }
+        let message = format!(
+            "an int8 plan of a bundle is judged by success, and episodes of `{}` cannot be solved: compile each of its \
+             networks with recorded inputs, `sortie compile FILE.onnx --profile int8 --npz FILE`",
+            self.set
+        );
+        Err(Failure::new(Exit::Usage, message))
+    }
+
+    /// What a policy decides on in some episodes.
+    fn recorded(
+        &self,
+        policy: &mut dyn Policy,
+        seed: u64,
+        bar: &indicatif::ProgressBar,
+    ) -> Result<Recording, Failure> {
+        let mut recording = recording_of(&self.bundle);
+        let mut recorder = recording_policy(policy, &mut recording);
+        self.play(&mut recorder, RECORDED, seed, bar)?;
+        drop(recorder);
+        Ok(recording)
     }
 
     /// Plays so many episodes of a seed: the same whoever plays them.

@@ -1,7 +1,9 @@
-//! Guards that `--guards` and `--guard-inputs` ask for, written behind a policy's plan.
+//! Guards that `--guards` and `--guard-inputs` ask for: written behind a policy's plan, or into a bundle.
 
 use std::path::Path;
 
+use sortie_bundle::files::{MOST_TEXT_BYTES, read_file};
+use sortie_bundle::{ContractV1, Recording, guards_from_toml};
 use sortie_cli::failure::{Exit, Failure};
 use sortie_cli::guards::read_guards;
 use sortie_cli::npz::{self, RecordedInputs};
@@ -75,13 +77,52 @@ fn recorded(file: &Path, plan: &[u8], inputs: usize, margin: f32) -> Result<Inpu
     for case in 0..cases.count {
         seen.see(cases.case(case).inputs.into_iter().flatten());
     }
+    widened(seen, margin)
+        .map_err(|at| bad(format!("input {at} has no finite range, which guards need")))
+}
+
+/// What was seen and a margin; or the first number that has no finite range.
+fn widened(mut seen: InputGuards, margin: f32) -> Result<InputGuards, usize> {
     seen.widen(margin);
-    let limits = || seen.lowest.iter().zip(&seen.highest);
+    let mut limits = seen.lowest.iter().zip(&seen.highest);
     let is_limit = |(lowest, highest): (&f32, &f32)| lowest.is_finite() && highest.is_finite();
-    match limits().position(|range| !is_limit(range)) {
-        Some(at) => Err(bad(format!("input {at} has no finite range, which guards need"))),
+    match limits.position(|range| !is_limit(range)) {
+        Some(at) => Err(at),
         None => Ok(seen),
     }
+}
+
+/// The ranges for the agents of a team that the file names; none where no file is named.
+///
+/// # Errors
+/// The file cannot be read, or says something that agents of a team are not guarded by.
+pub(super) fn of_team(
+    file: Option<&Path>,
+    contract: &ContractV1,
+) -> Result<Option<Vec<[f32; 2]>>, Failure> {
+    let Some(file) = file else { return Ok(None) };
+    let text = read_file(file, MOST_TEXT_BYTES).map_err(|error| Failure::file(file, &error))?;
+    let ranges = guards_from_toml(&text, contract);
+    ranges.map(Some).map_err(|flaw| Failure::new(Exit::BadData, flaw).within(file.display()))
+}
+
+/// The ranges of everything that agents were seen to act on: rows of what they saw and their own.
+pub(super) fn seen_by_team(recording: &Recording, margin: f32) -> Result<Vec<[f32; 2]>, Failure> {
+    let mut seen = InputGuards::unseen(recording.features);
+    for observation in recording.observations() {
+        let own = std::iter::once(observation.self_index);
+        for entity in observation.visible.iter().chain(own) {
+            let row = observation.rows.get(entity * observation.stride..);
+            seen.see(row.unwrap_or_default().iter().take(recording.features));
+        }
+    }
+    let seen = widened(seen, margin).map_err(|at| {
+        let message =
+            format!("feature {at} has no finite range in what was recorded, which guards need");
+        Failure::new(Exit::BadData, message)
+    })?;
+    let InputGuards { lowest, highest } = seen;
+    Ok(lowest.into_iter().zip(highest).map(|(lowest, highest)| [lowest, highest]).collect())
 }
 
 /// A share of a range's width.

@@ -62,6 +62,8 @@ impl ActionMsg {
     pub const TICK_GAP: u16 = 64;
     /// Recurrent state was cleared before this decision.
     pub const STATE_RESET: u16 = 128;
+    /// A guard refused the observation; with [`Self::FALLBACK`].
+    pub const GUARD: u16 = 256;
 
     /// Whether all flags of `flags` are set.
     pub fn has(&self, flags: u16) -> bool {

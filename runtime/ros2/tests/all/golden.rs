@@ -211,6 +211,7 @@ fn constants_of_the_definitions_are_those_of_the_wire() {
         ("FALLBACK", ActionMsg::FALLBACK),
         ("TICK_GAP", ActionMsg::TICK_GAP),
         ("STATE_RESET", ActionMsg::STATE_RESET),
+        ("GUARD", ActionMsg::GUARD),
         ("NO_ACTION", NO_ACTION),
         ("UNASSIGNED", u16::from(UNASSIGNED)),
     ];

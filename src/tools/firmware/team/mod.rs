@@ -79,6 +79,7 @@ pub(super) fn run(
     let mut arenas = plans.arenas(1).map_err(CompileError::from)?;
     let hidden = plans.policy(&mut arenas).map_err(CompileError::from)?.hidden();
     check(arguments, agent, world.shape().agents, hidden)?;
+    check_unguarded(bundle)?;
     let spinner = terminal::spinner(arguments.common);
     spinner.set_message("building the firmware");
     let domain = domain(&contract, format.schema, world.shape(), agent);
@@ -117,6 +118,15 @@ pub(super) fn run(
         report.print();
     }
     report.verdict()
+}
+
+/// A board in a team decides by its plan alone, and would decide on what the bundle's guards refuse.
+fn check_unguarded(bundle: &Bundle) -> Outcome {
+    if bundle.guards().is_empty() {
+        return Ok(());
+    }
+    let message = "the agents of this bundle are guarded, and a board in a team is not yet: take the bundle without guards";
+    Err(Failure::new(Exit::Usage, message))
 }
 
 fn check(arguments: &FirmwareArguments, agent: usize, agents: usize, hidden: usize) -> Outcome {

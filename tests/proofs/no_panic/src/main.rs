@@ -22,8 +22,8 @@ use sortie_core::options::{
 use sortie_core::plan::{Aligned, Given, GuardState, Guards, Plan, Trip, arena_bytes};
 use sortie_core::wire::{AllocMsg, FrameFormat, FrameHeader, FrameLayout, FrameMut, FrameView};
 use sortie_core::{
-    AllocateError, AllocationState, Allocator, EntityMask, NO_ACTION, Observation, PlanPolicy,
-    Policy, Shape, include_plan,
+    AllocateError, AllocationState, Allocator, DecideError, EntityMask, Guarded, NO_ACTION,
+    Observation, PlanPolicy, Policy, Shape, include_plan,
 };
 use zerocopy::FromBytes;
 
@@ -88,6 +88,16 @@ fn decide<const ARENA: usize>(plan: &[u8], want: [u32; 4]) -> Option<bool> {
     policy.utilities(&observation, black_box(&mut utilities)).ok()?;
     let decision = policy.decide(&observation).ok()?;
     policy.plan().warm();
+    let entity = observation.self_index;
+    let beyond = Err(DecideError::BeyondGuards { entity, feature: 0 });
+    for (range, wanted) in [([-1.0, 1.0], Ok(decision)), ([2.0, 3.0], beyond)] {
+        let mut decided = [Err(DecideError::BadLength)];
+        let ranges = black_box([range; 6]);
+        Guarded::new(&mut policy, &ranges).decide_batch(black_box(&[observation]), &mut decided);
+        if decided != [wanted] {
+            return None;
+        }
+    }
     Some(utilities.map(f32::to_bits) == want && decision.action == 3)
 }
 

@@ -71,12 +71,15 @@ impl RunnerRole {
                 answer.q = decision.utility;
             }
             Err(DecideError::NoAvailableAction) => answer.action = NO_ACTION,
-            Err(_) => {
+            Err(error) => {
                 let last = observation.last_actions.get(observation.self_index);
                 let last = last.copied().unwrap_or(NO_ACTION);
                 answer.action =
                     fallback_action(last, self.options.safe_action, observation.available);
                 answer.flags |= ActionMsg::FALLBACK;
+                if matches!(error, DecideError::BeyondGuards { .. }) {
+                    answer.flags |= ActionMsg::GUARD;
+                }
                 self.counters.fallbacks += 1;
             }
         }
