@@ -19,10 +19,13 @@ fn read_by_others(file: &Path) -> (BTreeMap<String, u64>, Vec<Value>) {
     const SCRIPT: &str = "
 import collections, json, sys
 from mcap.reader import make_reader
+WARM_UP = 3
 counts, ticks = collections.Counter(), []
 with open(sys.argv[1], 'rb') as file:
     for schema, channel, message in make_reader(file).iter_messages():
-        counts[channel.topic] += 1
+        # Frames by which a team warms up are no ticks.
+        warms_up = channel.topic == '/frame' and message.data[6] == WARM_UP
+        counts['warm-up' if warms_up else channel.topic] += 1
         if channel.topic == '/tick':
             ticks.append(json.loads(message.data))
 print(json.dumps([counts, ticks]))
