@@ -200,6 +200,9 @@ fn an_agent_that_observes_what_its_bundle_is_guarded_against_falls_back_and_the_
     };
     assert!(guarded.len() > 20 && free.len() > 20, "{} of {}", guarded.len(), free.len());
     assert!(guarded.iter().all(|(_, answer)| answer["fallback"] == true));
+    // It stays where it is, which the contract says is safe.
+    let stays = guarded.iter().filter(|(_, answer)| answer["action"] == 0).count();
+    assert!(stays * 10 > guarded.len() * 9, "{stays} of {}", guarded.len());
     let ran = support::json(&["run", &bundle, "--episodes", "3", "--rate", "0", "--json"]);
     let [fallbacks, guarded_in_all] = ["fallbacks", "guarded"].map(|key| ran[key].as_u64());
     assert!(guarded_in_all > Some(0) && fallbacks >= guarded_in_all, "{ran}");

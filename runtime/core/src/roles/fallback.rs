@@ -8,6 +8,12 @@ pub(super) fn fallback_action(last: u16, safe: Option<u16>, available: &[u16]) -
     first_available([Some(last), safe], available)
 }
 
+/// The action where a guard refused: what an agent did in a world that it knew may not be safe in this one, so the declared
+/// safe one, else the last one, else the lowest available.
+pub(super) fn guarded_action(last: u16, safe: Option<u16>, available: &[u16]) -> u16 {
+    first_available([safe, Some(last)], available)
+}
+
 /// The action of an agent without a subtask: the declared safe one, else the lowest available.
 pub(super) fn safe_action(safe: Option<u16>, available: &[u16]) -> u16 {
     first_available([safe, None], available)
@@ -36,6 +42,9 @@ mod tests {
         assert_eq!(fallback_action(NO_ACTION, Some(2), &available), 1);
         assert_eq!(fallback_action(NO_ACTION, None, &available), 1);
         assert_eq!(fallback_action(0, Some(1), &[0, 0]), NO_ACTION);
+        assert_eq!(guarded_action(4, Some(3), &available), 3);
+        assert_eq!(guarded_action(4, Some(2), &available), 4);
+        assert_eq!(guarded_action(4, None, &available), 4);
         assert_eq!(safe_action(Some(3), &available), 3);
         assert_eq!(safe_action(Some(0), &available), 1);
     }

@@ -8,7 +8,7 @@ use crate::allocator::UNASSIGNED;
 use crate::limits;
 use crate::link::Clock;
 use crate::policy::{DecideError, Decision, NO_ACTION, Observation, Policy, visible};
-use crate::roles::fallback::{fallback_action, safe_action};
+use crate::roles::fallback::{fallback_action, guarded_action, safe_action};
 use crate::roles::feasible::is_open;
 use crate::wire::{ActionMsg, FrameView};
 
@@ -72,12 +72,13 @@ impl RunnerRole {
             }
             Err(DecideError::NoAvailableAction) => answer.action = NO_ACTION,
             Err(error) => {
+                let is_guarded = matches!(error, DecideError::BeyondGuards { .. });
+                let instead = if is_guarded { guarded_action } else { fallback_action };
                 let last = observation.last_actions.get(observation.self_index);
                 let last = last.copied().unwrap_or(NO_ACTION);
-                answer.action =
-                    fallback_action(last, self.options.safe_action, observation.available);
+                answer.action = instead(last, self.options.safe_action, observation.available);
                 answer.flags |= ActionMsg::FALLBACK;
-                if matches!(error, DecideError::BeyondGuards { .. }) {
+                if is_guarded {
                     answer.flags |= ActionMsg::GUARD;
                 }
                 self.counters.fallbacks += 1;

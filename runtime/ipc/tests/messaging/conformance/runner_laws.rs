@@ -3,10 +3,10 @@
 
 use std::borrow::BorrowMut;
 
-use sortie_core::UNASSIGNED;
 use sortie_core::link::{AllocRx, Clock};
 use sortie_core::roles::Poll;
 use sortie_core::wire::{ActionMsg, AllocMsg, FrameHeader, FrameKind};
+use sortie_core::{DecideError, UNASSIGNED};
 
 use super::Transport;
 use super::stage::*;
@@ -151,10 +151,16 @@ pub(super) fn agents_wait_for_the_allocation_until_its_deadline<T: Transport>() 
 pub(super) fn a_policy_that_refuses_falls_back<T: Transport>() {
     let mut team = T::new();
     let mut role = runner(&mut team, 0, 0b1, false);
-    let mut probe = Probe { refuses: true, ..Probe::default() };
-    let got = answers(&mut team, &mut role, &mut probe, frame(1));
-    assert_eq!((got[0].action, got[0].flags), (3, ActionMsg::FALLBACK));
-    assert_eq!(role.counters().fallbacks, 1);
+    let beyond = DecideError::BeyondGuards { entity: 0, feature: 0 };
+    for (tick, error, flags) in [
+        (1, DecideError::NonFinite, ActionMsg::FALLBACK),
+        (2, beyond, ActionMsg::FALLBACK | ActionMsg::GUARD),
+    ] {
+        let mut probe = Probe { refuses: Some(error), ..Probe::default() };
+        let got = answers(&mut team, &mut role, &mut probe, frame(tick));
+        assert_eq!((got[0].action, got[0].flags), (3, flags));
+        assert_eq!(role.counters().fallbacks, tick);
+    }
 }
 
 pub(super) fn absent_agents_do_not_act<T: Transport>() {

@@ -87,7 +87,7 @@ impl Sent {
 /// Always takes action 2, or refuses; notes what each agent was shown.
 #[derive(Default)]
 pub(super) struct Probe {
-    pub(super) refuses: bool,
+    pub(super) refuses: Option<DecideError>,
     pub(super) shown: Vec<(usize, Vec<usize>)>,
 }
 
@@ -102,10 +102,7 @@ impl Policy for Probe {
 
     fn decide(&mut self, observation: &Observation<'_>) -> Result<Decision, DecideError> {
         self.shown.push((observation.self_index, observation.visible.iter().collect()));
-        if self.refuses {
-            return Err(DecideError::NonFinite);
-        }
-        Ok(Decision { action: 2, utility: 0.5 })
+        self.refuses.map_or(Ok(Decision { action: 2, utility: 0.5 }), Err)
     }
 }
 
