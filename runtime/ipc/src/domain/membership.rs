@@ -298,7 +298,7 @@ impl Drop for Membership {
 /// An exclusive lock on one role. Its file holds the last term and the holder's process id.
 #[derive(Debug)]
 pub struct Lock {
-    _file: File,
+    file: File,
     term: u32,
 }
 
@@ -337,12 +337,20 @@ impl Lock {
         let term = (last_term as u32).wrapping_add(1).max(1);
         let pid = u64::from(std::process::id());
         write_term(&mut file, [u64::from(term), pid]).map_err(Error::io("write", path))?;
-        Ok(Self { _file: file, term })
+        Ok(Self { file, term })
     }
 
     /// The term of this leadership: larger than all before, from 1.
     pub fn term(&self) -> u32 {
         self.term
+    }
+}
+
+impl Drop for Lock {
+    /// A process that is being started has the file open too until it runs its program: closed alone, it would be locked
+    /// until then.
+    fn drop(&mut self) {
+        let _ = self.file.unlock();
     }
 }
 
