@@ -94,7 +94,7 @@ impl Bundle {
                 return Err(BundleError::Missing { path: folder.join(name) });
             }
         }
-        let guards = guards_part(folder, &manifest, &parts)?;
+        let guards = guards_part(folder, &manifest.contract.v1, &parts)?;
         let (folder, id) = (folder.to_owned(), sha256(&bytes));
         Ok(Self { folder, id, manifest, parts, golden, guards })
     }
@@ -266,7 +266,7 @@ impl Draft {
             folder: folder.to_owned(),
             id: sha256(text.as_bytes()),
             manifest: self.manifest(&parts),
-            guards: guards_part(folder, &self.manifest(&parts), &parts)?,
+            guards: guards_part(folder, &self.contract, &parts)?,
             parts,
             golden: self.golden.clone(),
         })
@@ -440,11 +440,11 @@ fn golden_part(
 
 fn guards_part(
     folder: &Path,
-    manifest: &Manifest,
+    contract: &ContractV1,
     parts: &BTreeMap<String, Vec<u8>>,
 ) -> Result<Vec<[f32; 2]>, BundleError> {
     let Some(text) = parts.get(GUARDS) else { return Ok(Vec::new()) };
-    guards_from_toml(text, &manifest.contract.v1)
+    guards_from_toml(text, contract)
         .map_err(|reason| BundleError::Invalid { path: folder.join(GUARDS), reason })
 }
 
